@@ -1,0 +1,114 @@
+"""Checks of callers' arguments: each error names the argument, the rule and what arrived."""
+
+from __future__ import annotations
+
+import numbers
+from collections.abc import Collection
+from typing import Any
+
+import numpy as np
+
+
+def array(name: str, value: Any, shape: tuple[int | None, ...] | None = None) -> np.ndarray:
+    """Return value as a finite float or complex array of a shape.
+
+    Parameters
+    ----------
+    name : str
+        The argument's name, for the error message.
+    value : array_like
+        Numbers; anything else is refused.
+    shape : tuple of int or None, optional
+        Required shape; None in it stands for any length, None instead of it for any shape.
+
+    Returns
+    -------
+    numpy.ndarray
+        dtype float64 or complex128. Not a copy where none is needed.
+
+    Raises
+    ------
+    TypeError
+        The value does not consist of numbers.
+    ValueError
+        The shape is wrong, or an entry is NaN or infinite.
+
+    Examples
+    --------
+    >>> array("x0", [1, 2], (2,))
+    array([1., 2.])
+    """
+    try:
+        result = np.asarray(value)
+    except ValueError as error:
+        raise TypeError(f"{name} must be an array of numbers, got ragged rows: {value!r}") from error
+    if result.dtype.kind not in "biufc":
+        raise TypeError(f"{name} must be an array of numbers, got {value!r}")
+    if result.dtype not in (np.float64, np.complex128):
+        result = result.astype(complex if result.dtype.kind == "c" else float)
+    if shape is not None and not matches(result.shape, shape):
+        wanted = "(" + ", ".join("any" if s is None else str(s) for s in shape)
+        wanted += ",)" if len(shape) == 1 else ")"
+        raise ValueError(f"{name} must have shape {wanted}, got {result.shape}")
+    if not np.isfinite(result).all():
+        raise ValueError(f"{name} must be finite, got {result[~np.isfinite(result)][0]} in it")
+    return result
+
+
+def matches(shape: tuple[int, ...], required: tuple[int | None, ...]) -> bool:
+    """Whether a shape agrees with one in which None stands for any length."""
+    return len(shape) == len(required) and all(
+        r is None or r == s for s, r in zip(shape, required, strict=True)
+    )
+
+
+def real_array(name: str, value: Any, shape: tuple[int | None, ...] | None = None) -> np.ndarray:
+    """Return value as a finite float array; complex numbers are refused too."""
+    result = array(name, value, shape)
+    if np.iscomplexobj(result):
+        raise TypeError(f"{name} must be real, got complex numbers")
+    return result
+
+
+def number(name: str, value: Any) -> float:
+    """Return value as a finite real float."""
+    if isinstance(value, bool | np.bool_) or not isinstance(value, numbers.Real | np.ndarray):
+        raise TypeError(f"{name} must be a real number, got {value!r}")
+    if np.ndim(value) != 0:
+        raise TypeError(f"{name} must be a single number, got an array of shape {np.shape(value)}")
+    result = float(value)
+    if not np.isfinite(result):
+        raise ValueError(f"{name} must be finite, got {result}")
+    return result
+
+
+def positive(name: str, value: Any) -> float:
+    """Return value as a finite float greater than zero."""
+    result = number(name, value)
+    if result <= 0:
+        raise ValueError(f"{name} must be greater than 0, got {result:g}")
+    return result
+
+
+def non_negative(name: str, value: Any) -> float:
+    """Return value as a finite float of at least zero."""
+    result = number(name, value)
+    if result < 0:
+        raise ValueError(f"{name} must be at least 0, got {result:g}")
+    return result
+
+
+def integer(name: str, value: Any, minimum: int = 0) -> int:
+    """Return value as an int of at least minimum."""
+    if isinstance(value, bool | np.bool_) or not isinstance(value, numbers.Integral):
+        raise TypeError(f"{name} must be an integer, got {value!r}")
+    if value < minimum:
+        raise ValueError(f"{name} must be at least {minimum}, got {value}")
+    return int(value)
+
+
+def choice(name: str, value: Any, options: Collection[str]) -> str:
+    """Return value if it is one of the options."""
+    if value not in options:
+        raise ValueError(f"{name} must be one of {', '.join(options)}; got {value!r}")
+    return value

@@ -1,0 +1,264 @@
+"""Fixed-step integration of x' = f(x, t)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from statebook import _validate
+from statebook.errors import DivergenceError
+from statebook.runge_kutta import (
+    METHODS,
+    SEMI_IMPLICIT_EULER,
+    ButcherTableau,
+    amplification_matrix,
+    as_tableau,
+    stability_function,
+)
+from statebook.trajectory import Trajectory
+
+__all__ = [
+    "METHODS",
+    "ButcherTableau",
+    "amplification_matrix",
+    "integrate",
+    "integrate_euler",
+    "stability_function",
+]
+
+_NEWTON_ITERATIONS = 50
+_NEWTON_TOLERANCE = 1e-12
+_DIFFERENCE = np.finfo(float).eps ** 0.5
+
+Function = Callable[[Any, float], Any]
+Step = Callable[[Function, np.ndarray, float, float], np.ndarray]
+
+
+def integrate_euler(
+    f: Function, x0: Any, N: int, dt: float, t0: float = 0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Integrate x' = f(x, t) by N steps of Euler's method.
+
+    ``x_{k+1} = x_k + dt f(x_k, t_k)`` with ``t_k = t0 + k dt`` (a product: adding dt N times
+    would drift).
+
+    Parameters
+    ----------
+    f : callable
+        f(x, t), the derivative at a state and a time, of the shape of x.
+    x0 : array, shape (n,) or (n, N) or a number
+        State at t0.
+    N : int >= 0
+        Number of steps. From a duration T take ``round(T / dt)``: ``int(T / dt)`` may lose one.
+    dt : float > 0 [s]
+        Step.
+    t0 : float [s]
+        Initial time.
+
+    Returns
+    -------
+    ts : array, shape (N + 1,)
+        Times.
+    xs : array, shape (N + 1, n) or (N + 1, \\*x0.shape)
+        States, one row for each time.
+
+    Raises
+    ------
+    DivergenceError
+        If a state overflows; it holds the states before.
+    TypeError, ValueError
+        If an argument, or what f returns, has the wrong type or shape or is not finite.
+
+    References
+    ----------
+    Hairer, Norsett and Wanner, *Solving Ordinary Differential Equations I*, section I.7.
+
+    Examples
+    --------
+    >>> ts, xs = integrate_euler(lambda x, t: -x, [1.0], 2, 0.5)
+    >>> ts.tolist(), xs.tolist()
+    ([0.0, 0.5, 1.0], [[1.0], [0.5], [0.25]])
+    """
+    return integrate(f, x0, N, dt, t0, method="euler")
+
+
+def integrate(
+    f: Function,
+    x0: Any,
+    N: int,
+    dt: float,
+    t0: float = 0,
+    *,
+    method: str | ButcherTableau = "rk4",
+) -> tuple[np.ndarray, np.ndarray]:
+    """Integrate x' = f(x, t) by N equal steps of a method.
+
+    Parameters
+    ----------
+    f : callable
+        f(x, t), the derivative at a state and a time, of the shape of x.
+    x0 : array, shape (n,) or (n, N) or a number
+        State at t0, or a batch of them.
+    N : int >= 0
+        Number of steps.
+    dt : float > 0 [s]
+        Step.
+    t0 : float [s]
+        Initial time.
+    method : str or ButcherTableau
+        A name in `METHODS`, a tableau, or "semi_implicit_euler", which takes the first half of
+        the state for positions q and the second for velocities v and moves the velocities
+        first: ``v_next = v + dt f_v(q, v, t)``, then ``q_next = q + dt f_q(q, v_next, t)``.
+
+    Returns
+    -------
+    ts : array, shape (N + 1,)
+        Times ``t0 + k dt``.
+    xs : array, shape (N + 1, n) or (N + 1, \\*x0.shape)
+        States, one row for each time.
+
+    Raises
+    ------
+    DivergenceError
+        If a state overflows, or if the equations of an implicit step are not solved; it
+        holds the states before.
+    TypeError, ValueError
+        If an argument, or what f returns, has the wrong type or shape or is not finite.
+
+    References
+    ----------
+    Hairer, Norsett and Wanner, *Solving Ordinary Differential Equations I*, section II.1;
+    Hairer, Lubich and Wanner, *Geometric Numerical Integration*, section I.1 (semi-implicit).
+
+    Examples
+    --------
+    >>> ts, xs = integrate(lambda x, t: -x, [1.0], 10, 0.1)
+    >>> round(xs[-1, 0] * np.exp(1), 5)
+    np.float64(1.0)
+    """
+    x = np.asarray(_validate.array("x0", x0))
+    N = _validate.integer("N", N, 0)
+    dt = _validate.positive("dt", dt)
+    t0 = _validate.number("t0", t0)
+    step = step_of(method)
+    if method == SEMI_IMPLICIT_EULER and (x.ndim == 0 or len(x) % 2):
+        raise ValueError(
+            f"{SEMI_IMPLICIT_EULER} needs as many positions as velocities, "
+            f"got x0 of shape {x.shape}"
+        )
+    f = _checked(f, x, t0)
+    ts = t0 + dt * np.arange(N + 1)
+    xs = np.empty((N + 1, *x.shape), dtype=x.dtype)
+    xs[0] = x
+    with np.errstate(all="ignore"):
+        for k in range(N):
+            try:
+                xs[k + 1] = step(f, xs[k], ts[k], dt)
+                reason = "" if np.isfinite(xs[k + 1]).all() else "the next state is not finite"
+            except _NoSolution as failure:
+                reason = str(failure)
+            if reason:
+                raise DivergenceError(
+                    f"integration stopped at t = {ts[k]:.6g}, x = {xs[k]}: {reason}; "
+                    f"{k} of {N} steps are in .trajectory",
+                    time=float(ts[k]),
+                    state=xs[k],
+                    trajectory=_partial(ts[: k + 1], xs[: k + 1]),
+                )
+    return ts, xs
+
+
+def step_of(method: str | ButcherTableau) -> Step:
+    """The function step(f, x, t, dt) -> x_next of a method; f(x, t) must return an array."""
+    if method == SEMI_IMPLICIT_EULER:
+        return _semi_implicit_step
+    tableau = as_tableau(method)
+    A, b, c = (np.array(part, dtype=float) for part in (tableau.A, tableau.b, tableau.c))
+    stages = _explicit_stages if tableau.explicit else _implicit_stages
+
+    def step(f: Function, x: np.ndarray, t: float, dt: float) -> np.ndarray:
+        return x + dt * np.tensordot(b, stages(f, x, t, dt, A, c), axes=1)
+
+    return step
+
+
+class _NoSolution(ArithmeticError):
+    """The equations of an implicit step were not solved."""
+
+
+def _semi_implicit_step(f: Function, x: np.ndarray, t: float, dt: float) -> np.ndarray:
+    half = len(x) // 2
+    x_next = x.copy()
+    x_next[half:] += dt * f(x, t)[half:]
+    x_next[:half] += dt * f(x_next, t)[:half]
+    return x_next
+
+
+def _explicit_stages(f, x, t, dt, A, c) -> np.ndarray:
+    K = np.zeros((len(c), *x.shape), dtype=x.dtype)
+    for i in range(len(c)):
+        K[i] = f(x + dt * np.tensordot(A[i, :i], K[:i], axes=1), t + c[i] * dt)
+    return K
+
+
+def _implicit_stages(f, x, t, dt, A, c) -> np.ndarray:
+    """Solve K_i = f(x + dt sum_j A_ij K_j, t + c_i dt) by Newton's method.
+
+    Solving for K, not for the stages' states, keeps a stiff step accurate: the rounding
+    error of f, large as its Jacobian J is large, is divided by I - dt A J.
+    """
+    times = t + c * dt
+    K = np.stack([f(x, t)] * len(c))
+    identity = np.eye(K.size)
+    for _ in range(_NEWTON_ITERATIONS):
+        Z = x + dt * np.tensordot(A, K, axes=1)
+        F = np.stack([f(z, time) for z, time in zip(Z, times, strict=True)])
+        J = np.stack([_jacobian(f, *args) for args in zip(Z, times, F, strict=True)])
+        matrix = identity - dt * np.einsum("ij,ikl->ikjl", A, J).reshape(identity.shape)
+        try:
+            update = np.linalg.solve(matrix, (F - K).ravel()).reshape(K.shape)
+        except np.linalg.LinAlgError:
+            break
+        K = K + update
+        size = np.abs(x).max(initial=0) + dt * np.abs(K).max(initial=0)
+        if dt * np.abs(update).max(initial=0) <= _NEWTON_TOLERANCE * size:
+            return K
+    raise _NoSolution("the equations of the implicit step were not solved; try a smaller dt")
+
+
+def _jacobian(f: Function, x: np.ndarray, t: float, value: np.ndarray) -> np.ndarray:
+    """Forward differences: Newton's method corrects their error in its next iteration."""
+    J = np.empty((x.size, x.size), dtype=x.dtype)
+    for j in range(x.size):
+        shifted = x.copy()
+        shifted.flat[j] += _DIFFERENCE * max(1.0, abs(x.flat[j]))
+        J[:, j] = (f(shifted, t) - value).ravel() / (shifted.flat[j] - x.flat[j])
+    return J
+
+
+def _checked(f: Function, x0: np.ndarray, t0: float) -> Function:
+    """Wrap f so that its result is an array of the shape of x0; x0 must give finite ones."""
+    if not callable(f):
+        raise TypeError(f"f must be a function f(x, t), got {f!r}")
+
+    def checked(x: np.ndarray, t: float) -> np.ndarray:
+        value = np.asarray(f(x, float(t)))
+        if value.dtype.kind not in "biufc":
+            raise TypeError(f"f(x, t) must return numbers, got {value!r} at t = {t:.6g}")
+        if value.shape != x.shape:
+            raise ValueError(
+                f"f(x, t) must return the shape of x, {x.shape}, got {value.shape} at t = {t:.6g}"
+            )
+        if np.iscomplexobj(value) and not np.iscomplexobj(x0):
+            raise TypeError("f(x, t) returned complex numbers for a real state: give a complex x0")
+        return value
+
+    _validate.array("f(x0, t0)", checked(x0, t0))
+    return checked
+
+
+def _partial(ts: np.ndarray, xs: np.ndarray) -> Trajectory:
+    states = np.moveaxis(xs, 0, -1)
+    return Trajectory(ts, states if states.ndim > 1 else states[None])

@@ -1,0 +1,294 @@
+#!/usr/bin/env python3
+"""Make .venv, install statebook and do one job, the same on Linux, macOS and Windows.
+
+    python3 run.py book                     execute every chapter, build the site in _build/html
+    python3 run.py test [pytest options]    run every test
+    python3 run.py lab                      open JupyterLab in workbook/
+    python3 run.py refresh [chapter files]  execute committed chapters again, in place
+
+Standard library only, in syntax that older Pythons parse, so that they can be turned away.
+"""
+
+import hashlib
+import json
+import os
+import platform
+import re
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent
+VENV = ROOT / ".venv"
+BUILD = ROOT / "_build"
+WORKERS = str(min(4, os.cpu_count() or 1))
+
+# What pip prints, and the sentence that tells a reader what to do about it.
+PIP_TROUBLES = [
+    (r"No space left|Errno 28", "the disk is full; .venv takes about 1 GB"),
+    (
+        r"name resolution|getaddrinfo|NewConnectionError|Timeout|Max retries|ProxyError|SSLError",
+        "pip cannot reach the package index; check the network and the proxy and run this again",
+    ),
+]
+
+
+def fail(sentence):
+    """End with one sentence on stderr and exit code 1."""
+    sys.exit("run.py: " + sentence)
+
+
+def check_python():
+    """Turn away a Python that is too old or cannot make virtual environments."""
+    if sys.version_info < (3, 10):
+        fail(
+            "statebook needs Python 3.10 or newer and this is Python %s; "
+            "run it with a newer one, such as python3.12" % platform.python_version()
+        )
+    try:
+        import ensurepip  # noqa: F401
+        import venv  # noqa: F401
+    except ImportError:
+        fail(
+            "this Python cannot make virtual environments; install the package python3-venv "
+            "(Debian, Ubuntu: sudo apt install python3-venv)"
+        )
+
+
+def venv_python():
+    """Return the path of .venv's interpreter."""
+    return VENV / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+
+
+def site_packages():
+    """Return the folder that .venv's packages are installed in."""
+    if os.name == "nt":
+        return VENV / "Lib" / "site-packages"
+    return VENV / "lib" / ("python%d.%d" % sys.version_info[:2]) / "site-packages"
+
+
+def requirements():
+    """Return the lines of requirements.txt: all but toppra's, and toppra's."""
+    text = (ROOT / "requirements.txt").read_text(encoding="utf-8")
+    lines = [line.strip() for line in text.splitlines() if line.strip() and line[0] != "#"]
+    toppra = [line for line in lines if line.startswith("toppra")]
+    return [line for line in lines if line not in toppra], toppra
+
+
+def ensure_environment():
+    """Make or update .venv; do nothing where its stamp says that it is complete.
+
+    The stamp is written last, so an installation that was interrupted starts anew.
+    """
+    files = [(ROOT / name).read_bytes() for name in ("requirements.txt", "pyproject.toml")]
+    wanted = [platform.python_version(), str(ROOT), hashlib.sha256(b"".join(files)).hexdigest()]
+    stamp = VENV / "statebook-stamp"
+    found = stamp.read_text(encoding="utf-8").splitlines() if stamp.is_file() else []
+    usable = venv_python().exists() and found[:2] == wanted[:2]
+    if usable and found == wanted:
+        return
+    if usable:
+        stamp.unlink()
+    else:
+        make_venv()
+    others, toppra = requirements()
+    code, log = pip([*others, "--editable", str(ROOT)], "installing")
+    if code:
+        fail(explain(log))
+    code, log = pip(toppra, "installing toppra")
+    if code:
+        print(
+            "toppra cannot be installed, and statebook goes on without it: it has wheels for "
+            "Linux x86_64 only and needs a C compiler elsewhere (%s)" % explain(log)
+        )
+    stamp.write_text("\n".join(wanted), encoding="utf-8")
+
+
+def make_venv():
+    """Make an empty .venv, whatever stands there."""
+    import venv
+
+    if Path(sys.prefix) == VENV:
+        fail(".venv must be made anew and is in use; deactivate it and run this again")
+    print("making .venv for Python " + platform.python_version(), flush=True)
+    if VENV.is_symlink() or VENV.is_file():
+        VENV.unlink()
+    try:
+        venv.create(str(VENV), clear=True, symlinks=os.name != "nt", with_pip=True)
+    except subprocess.CalledProcessError as error:
+        fail("this Python's venv module does not work (%s)" % error)
+
+
+def pip(packages, doing):
+    """Install packages; return pip's exit code and what it printed."""
+
+    def status(log):
+        names = re.findall(r"^Installing collected packages: (.*)$", log, re.MULTILINE)
+        if not names:
+            return "%s: %d packages found" % (doing, log.count("Collecting "))
+        new = sum(1 for _ in site_packages().glob("*.dist-info")) - before
+        return "%s: %d of %d packages" % (doing, new, names[0].count(",") + 1)
+
+    before = sum(1 for _ in site_packages().glob("*.dist-info"))
+    options = ["--disable-pip-version-check", "--no-input", "--progress-bar", "off"]
+    return watch(["-m", "pip", "install", *options, *packages], VENV / "pip.log", status)
+
+
+def explain(log):
+    """Return one sentence on why pip failed."""
+    for pattern, sentence in PIP_TROUBLES:
+        if re.search(pattern, log):
+            return sentence
+    errors = re.findall(r"^\s*(?:ERROR|error): *(.+)$", log, re.MULTILINE)
+    return "pip failed with '%s'; see %s" % ((errors or ["no reason"])[-1], VENV / "pip.log")
+
+
+def bar(doing):
+    """Return a status function that draws the last '[3/18]' or '[ 50%]' of an output."""
+
+    def status(log):
+        found = re.findall(r"\[ *(\d+)(?:/(\d+)|%)\] +(\S+)", log) or [(0, 1, "")]
+        done, total, name = found[-1]
+        filled = 24 * int(done) // int(total or 100)
+        return "%s [%s] %s" % (doing, ("#" * filled).ljust(24, "."), name)
+
+    return status
+
+
+def environment():
+    """Return the environment of every job.
+
+    One thread each, as notebooks run side by side; and no MPLBACKEND, which would keep
+    figures out of executed notebooks.
+    """
+    env = {name: value for name, value in os.environ.items() if name != "MPLBACKEND"}
+    return dict({"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}, **env, PYTHONUTF8="1")
+
+
+def watch(arguments, log_file, status):
+    """Run .venv's Python with its output in a file, showing `status(output)` as it grows.
+
+    On a terminal one line is rewritten; elsewhere a line is added every 10 seconds.
+    """
+    terminal = sys.stdout.isatty()
+    width = shutil.get_terminal_size().columns - 1
+    start = shown = time.monotonic()
+    command = [str(venv_python()), *arguments]
+    with log_file.open("wb") as output:
+        process = subprocess.Popen(
+            command, cwd=str(ROOT), env=environment(), stdout=output, stderr=subprocess.STDOUT
+        )
+    try:
+        while True:
+            ended = process.poll() is not None
+            log = log_file.read_text(encoding="utf-8", errors="replace")
+            now = time.monotonic()
+            line = "  %s, %d s" % (status(log), now - start)
+            if terminal:
+                print("\r" + line[:width].ljust(width), end="\n" if ended else "", flush=True)
+            elif ended or now - shown >= 10:
+                print(line, flush=True)
+                shown = now
+            if ended:
+                return process.returncode, log
+            time.sleep(0.2)
+    finally:
+        process.kill()
+
+
+def run(arguments, cwd=ROOT):
+    """Run .venv's Python in the foreground and return its exit code."""
+    process = subprocess.Popen([str(venv_python()), *arguments], cwd=str(cwd), env=environment())
+    while True:
+        try:
+            return process.wait()
+        except KeyboardInterrupt:
+            pass  # pytest and JupyterLab got it too, and end in their own way
+
+
+def needs_toppra(notebook):
+    """Tell whether a code cell of the notebook calls time_scale or imports toppra."""
+    try:
+        cells = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
+    except (ValueError, KeyError):
+        return False  # the job that reads it next has the better message
+    code = "\n".join("".join(c["source"]) for c in cells if c["cell_type"] == "code")
+    return re.search(r"\btime_scale\(|\bimport toppra\b", code) is not None
+
+
+def skipped():
+    """Return the notebooks that cannot run here, relative to ROOT, and name them."""
+    if (site_packages() / "toppra").is_dir():
+        return []
+    notebooks = sorted((ROOT / "workbook").rglob("*.ipynb"))
+    names = [n.relative_to(ROOT).as_posix() for n in notebooks if needs_toppra(n)]
+    if names:
+        print("skipped, as toppra is not installed: " + ", ".join(names), flush=True)
+    return names
+
+
+def chapters():
+    """Return the chapters that can run here, relative to ROOT."""
+    found = sorted((ROOT / "workbook").glob("[0-9][0-9]_*.ipynb"))
+    left_out = skipped()
+    names = [n.relative_to(ROOT).as_posix() for n in found]
+    return [name for name in names if name not in left_out]
+
+
+def book(arguments):
+    """Execute the chapters into _build and build the site from them."""
+    source, html = BUILD / "source", BUILD / "html"
+    for folder in (source, html):
+        shutil.rmtree(str(folder), ignore_errors=True)
+    shutil.copytree(str(ROOT / "book"), str(source))
+    execute = ["-m", "statebook.regression", "execute", "--jobs", WORKERS, "--output-dir"]
+    command = [*execute, str(source / "chapters"), *chapters()]
+    code, log = watch(command, BUILD / "execute.log", bar("executing"))
+    if code:
+        lines = [line for line in log.splitlines() if "FAILED" in line] or log.splitlines()[-9:]
+        fail("a chapter failed, so no site was built\n" + "\n".join(lines))
+    command = ["-m", "sphinx", "-d", str(BUILD / "doctrees"), *arguments, str(source), str(html)]
+    code, log = watch(command, BUILD / "sphinx.log", bar("building"))
+    if code:
+        fail("the site was not built\n" + "\n".join(log.strip().splitlines()[-9:]))
+    print("open " + (html / "index.html").as_uri())
+    return 0
+
+
+def test(arguments):
+    """Run every test; arguments go to pytest."""
+    options = ["-n", WORKERS, "--dist", "loadfile", "--nbval", "--nbval-current-env"]
+    return run(["-m", "pytest", *options, *("--ignore=" + n for n in skipped()), *arguments])
+
+
+def lab(arguments):
+    """Open JupyterLab in workbook/."""
+    return run(["-m", "jupyterlab", *arguments], cwd=ROOT / "workbook")
+
+
+def refresh(arguments):
+    """Execute committed chapters again, in place."""
+    files = [str(Path(name).resolve()) for name in arguments] or chapters()
+    return run(["-m", "statebook.regression", "refresh", "--jobs", WORKERS, *files])
+
+
+def main(arguments):
+    """Do the job that the first argument names and return the exit code."""
+    jobs = {"book": book, "test": test, "lab": lab, "refresh": refresh}
+    if not arguments or arguments[0] not in jobs:
+        print(__doc__)
+        return 2
+    check_python()
+    try:
+        ensure_environment()
+        return jobs[arguments[0]](arguments[1:])
+    except OSError as error:
+        fail("%s: %s" % (error.filename or "the system says", error.strerror or error))
+    except KeyboardInterrupt:
+        fail("interrupted; run the same command again")
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
