@@ -23,6 +23,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent
 VENV = ROOT / ".venv"
 BUILD = ROOT / "_build"
+CHAPTERS = "[0-9][0-9]_*.ipynb"
 WORKERS = str(min(4, os.cpu_count() or 1))
 
 # What pip prints, and the sentence that tells a reader what to do about it.
@@ -218,37 +219,35 @@ def needs_toppra(notebook):
     return re.search(r"\btime_scale\(|\bimport toppra\b", code) is not None
 
 
-def skipped():
-    """Return the notebooks that cannot run here, relative to ROOT, and name them."""
+def notebooks(pattern):
+    """Return the notebooks that can run here and those that want toppra, named on the way."""
+    names = sorted(n.relative_to(ROOT).as_posix() for n in (ROOT / "workbook").glob(pattern))
     if (site_packages() / "toppra").is_dir():
-        return []
-    notebooks = sorted((ROOT / "workbook").rglob("*.ipynb"))
-    names = [n.relative_to(ROOT).as_posix() for n in notebooks if needs_toppra(n)]
-    if names:
-        print("skipped, as toppra is not installed: " + ", ".join(names), flush=True)
-    return names
-
-
-def chapters():
-    """Return the chapters that can run here, relative to ROOT."""
-    found = sorted((ROOT / "workbook").glob("[0-9][0-9]_*.ipynb"))
-    left_out = skipped()
-    names = [n.relative_to(ROOT).as_posix() for n in found]
-    return [name for name in names if name not in left_out]
+        return names, []
+    left_out = [name for name in names if needs_toppra(ROOT / name)]
+    if left_out:
+        print("not executed, as toppra is not installed: " + ", ".join(left_out), flush=True)
+    return [name for name in names if name not in left_out], left_out
 
 
 def book(arguments):
-    """Execute the chapters into _build and build the site from them."""
+    """Execute the chapters into _build and build the site from them.
+
+    Chapters that cannot run here appear with their committed outputs.
+    """
     source, html = BUILD / "source", BUILD / "html"
     for folder in (source, html):
         shutil.rmtree(str(folder), ignore_errors=True)
     shutil.copytree(str(ROOT / "book"), str(source))
     execute = ["-m", "statebook.regression", "execute", "--jobs", WORKERS, "--output-dir"]
-    command = [*execute, str(source / "chapters"), *chapters()]
+    files, left_out = notebooks(CHAPTERS)
+    command = [*execute, str(source / "chapters"), *files]
     code, log = watch(command, BUILD / "execute.log", bar("executing"))
     if code:
         lines = [line for line in log.splitlines() if "FAILED" in line] or log.splitlines()[-9:]
         fail("a chapter failed, so no site was built\n" + "\n".join(lines))
+    for name in left_out:
+        shutil.copy(str(ROOT / name), str(source / "chapters"))
     command = ["-m", "sphinx", "-d", str(BUILD / "doctrees"), *arguments, str(source), str(html)]
     code, log = watch(command, BUILD / "sphinx.log", bar("building"))
     if code:
@@ -260,7 +259,8 @@ def book(arguments):
 def test(arguments):
     """Run every test; arguments go to pytest."""
     options = ["-n", WORKERS, "--dist", "loadfile", "--nbval", "--nbval-current-env"]
-    return run(["-m", "pytest", *options, *("--ignore=" + n for n in skipped()), *arguments])
+    ignored = ["--ignore=" + name for name in notebooks("**/*.ipynb")[1]]
+    return run(["-m", "pytest", *options, *ignored, *arguments])
 
 
 def lab(arguments):
@@ -270,7 +270,7 @@ def lab(arguments):
 
 def refresh(arguments):
     """Execute committed chapters again, in place."""
-    files = [str(Path(name).resolve()) for name in arguments] or chapters()
+    files = [str(Path(name).resolve()) for name in arguments] or notebooks(CHAPTERS)[0]
     return run(["-m", "statebook.regression", "refresh", "--jobs", WORKERS, *files])
 
 

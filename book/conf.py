@@ -2,10 +2,12 @@
 
 import json
 import re
+from importlib import import_module
 from importlib.resources import files
-from importlib.util import find_spec
 from pathlib import Path
 from pkgutil import iter_modules
+
+import statebook
 
 HERE = Path(__file__).parent
 
@@ -20,9 +22,14 @@ exclude_patterns = ["chapters/.ipynb_checkpoints"]
 
 # Chapters arrive executed: `run.py book` puts them into chapters/ beside a copy of this file.
 nb_execution_mode = "off"
+nb_code_prompt_show = "Show {type}"
+nb_code_prompt_hide = "Hide {type}"
 nb_render_markdown_format = "myst"
-# A figure's digest has no place on a page; words of a docstring's type are no references.
-suppress_warnings = ["mystnb.unknown_mime_type", "ref.python"]
+suppress_warnings = [
+    "mystnb.unknown_mime_type",  # a figure's digest has no place on a page
+    "myst.xref_missing",  # a chapter may point at one that is yet to be written
+    "ref.python",  # the words of a parameter's type are prose, not references
+]
 # python-control represents systems in Markdown, with mathematics: prefer it to plain text.
 nb_mime_priority_overrides = [("html", "text/markdown", 25)]
 myst_enable_extensions = ["amsmath", "dollarmath", "deflist", "substitution"]
@@ -41,26 +48,32 @@ html_copy_source = False
 # Summaries of search results are fetched, which browsers refuse for file:// addresses.
 html_show_search_summary = False
 html_theme_options = {
-    "light_css_variables": {"color-brand-primary": "#1b5e8a", "color-brand-content": "#1b5e8a"},
-    "dark_css_variables": {"color-brand-primary": "#7cc4f0", "color-brand-content": "#7cc4f0"},
+    f"{mode}_css_variables": dict.fromkeys(
+        ("color-brand-primary", "color-brand-content", "color-api-name", "color-api-pre-name"),
+        colour,
+    )
+    for mode, colour in (("light", "#1b5e8a"), ("dark", "#7cc4f0"))
 }
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"
-autodoc_default_options = {"members": True, "ignore-module-all": True}
+autodoc_default_options = {"members": True}
+add_module_names = False
 napoleon_google_docstring = False
+napoleon_use_ivar = True
 napoleon_use_param = False
 napoleon_use_rtype = False
 
 
 def opening(notebook):
-    """Return a chapter's title and the first paragraph under it."""
+    """Return a chapter's title and the question under it."""
     cells = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
     text = "\n\n".join("".join(c["source"]) for c in cells[:3] if c["cell_type"] == "markdown")
     paragraphs = [" ".join(p.split()) for p in re.split(r"\n\s*\n", text) if p.strip()]
     titles = [p.lstrip("# ") for p in paragraphs if p.startswith("# ")]
     prose = [p for p in paragraphs if not p.startswith(("#", "-", "|", "`"))]
-    return (titles or [notebook.stem])[0], (prose or [""])[0]
+    question = re.sub(r"^\W*the question\W*", "", (prose or [""])[0], flags=re.IGNORECASE)
+    return (titles or [notebook.stem])[0], question[:1].upper() + question[1:]
 
 
 def chapter_list():
@@ -72,19 +85,19 @@ def chapter_list():
     return "\n".join(rows)
 
 
-myst_substitutions = {"chapters": chapter_list()}
+def write_reference():
+    """Write a page for every public module; return their list in Markdown."""
+    folder = HERE / "reference"
+    folder.mkdir(exist_ok=True)
+    public = {*statebook._MODULE_OF.values(), *statebook._MODULES}
+    rows = []
+    for name in (m.name for m in iter_modules(statebook.__path__) if m.name in public):
+        module = import_module(f"statebook.{name}")
+        text = f"# {name}\n\n```{{eval-rst}}\n.. automodule:: {module.__name__}\n```\n"
+        (folder / f"{name}.md").write_text(text, encoding="utf-8")
+        rows.append(f"[{name}](reference/{name}.md)\n: {module.__doc__.splitlines()[0]}\n")
+    return "\n".join(rows)
 
 
-def list_modules(app, docname, source):
-    """Append every public module of the library to the reference page."""
-    if docname != "reference":
-        return
-    package = Path(find_spec("statebook").origin).parent
-    modules = [m.name for m in iter_modules([str(package)]) if not m.name.startswith("_")]
-    for name in modules:
-        source[0] += f"\n## {name}\n\n```{{eval-rst}}\n.. automodule:: statebook.{name}\n```\n"
-
-
-def setup(app):
-    """Connect the hooks above."""
-    app.connect("source-read", list_modules)
+# This folder is a copy made by `run.py book`: what is written here does not touch the sources.
+myst_substitutions = {"chapters": chapter_list(), "modules": write_reference()}

@@ -23,14 +23,20 @@ __version__ = "0.1.0"
 _MODULE_OF = {
     name: module
     for module, names in {
+        "angles": "wrap_angle",
         "check": "check",
+        "control_trajectory": "ControlTrajectory",
+        "controllers": "LQR PD PID SwingUp bang_bang simulate_clocked",
         "derivatives": "InexactDerivativeWarning",
         "discretize": "discretize discretize_many map_eigenvalues critical_sample_time",
         "errors": (
             "DivergenceError EquilibriumNotFoundError InfeasiblePathError KinkError"
             " NotAnEquilibriumError"
         ),
-        "integrate": "METHODS ButcherTableau amplification_matrix integrate integrate_euler",
+        "integrate": (
+            "METHODS ButcherTableau amplification_matrix integrate integrate_euler"
+            " stability_function"
+        ),
         "linearize": "Equilibrium find_equilibrium jacobians linearize",
         "models": "CartPole DubinsCar Oscillator Particle Pendulum PlanarArm",
         "plotting": "use_style",
@@ -40,7 +46,7 @@ _MODULE_OF = {
         ),
         "systems": "System as_system",
         "timescale": "Path TimedPath time_scale",
-        "trajectory": "ControlTrajectory Trajectory",
+        "trajectory": "Trajectory",
     }.items()
     for name in names.split()
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import warnings
 from collections.abc import Callable
 from typing import Any
@@ -12,6 +13,7 @@ from statebook import _validate
 from statebook.control_trajectory import ControlTrajectory, interval_of
 
 Policy = Callable[[np.ndarray, float], np.ndarray]
+Stretch = tuple[float, float, Policy]
 
 _PROBED_COLUMNS = 8
 
@@ -55,7 +57,7 @@ def as_policy(u: Any, m: int, x0: np.ndarray, t0: float) -> Policy:
     return together if _agree(together, alone, x0, t0) else one_by_one
 
 
-def segments(u: Any, policy: Policy, start: float, end: float) -> list[tuple[float, float, Policy]]:
+def segments(u: Any, policy: Policy, start: float, end: float) -> list[Stretch]:
     """The stretches of time (a, b, policy) in which the control has no breakpoint.
 
     Up to b the policy is that of the stretch: at its end it is the limit from the left.
@@ -70,7 +72,7 @@ def segments(u: Any, policy: Policy, start: float, end: float) -> list[tuple[flo
         k = interval_of(np.float64((a + b) / 2), u.breakpoints)
         return lambda x, t: _spread(u.on_piece(k, t), x.shape[1:])
 
-    return [(a, b, piece(a, b)) for a, b in zip(cuts, cuts[1:], strict=False)]
+    return [(a, b, piece(a, b)) for a, b in itertools.pairwise(cuts)]
 
 
 def _agree(together: Policy, alone: Policy, x0: np.ndarray, t0: float) -> bool:

@@ -41,7 +41,9 @@ def array(name: str, value: Any, shape: tuple[int | None, ...] | None = None) ->
     try:
         result = np.asarray(value)
     except ValueError as error:
-        raise TypeError(f"{name} must be an array of numbers, got ragged rows: {value!r}") from error
+        raise TypeError(
+            f"{name} must be an array of numbers, got ragged rows: {value!r}"
+        ) from error
     if result.dtype.kind not in "biufc":
         raise TypeError(f"{name} must be an array of numbers, got {value!r}")
     if result.dtype not in (np.float64, np.complex128):

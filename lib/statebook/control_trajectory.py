@@ -188,7 +188,7 @@ class ControlTrajectory:
         duration = _validate.positive("duration", duration)
         t0 = _validate.number("t0", t0)
         coefficients = _values(coefficients, None, "coefficients")
-        return cls([t0, t0 + duration], coefficients[:, ::-1].T[:, None, :])
+        return cls(np.array([t0, t0 + duration]), coefficients[:, ::-1].T[:, None, :])
 
     @classmethod
     def spline(cls, times: Any, values: Any, *, bc_type: str = "not-a-knot") -> ControlTrajectory:

@@ -122,8 +122,8 @@ def integrate(
     Raises
     ------
     DivergenceError
-        If a state overflows, or if the equations of an implicit step are not solved; it
-        holds the states before.
+        If a state overflows, or if the equations of an implicit step are not solved; its
+        ``.trajectory`` holds the states before (None if they are complex).
     TypeError, ValueError
         If an argument, or what f returns, has the wrong type or shape or is not finite.
 
@@ -142,13 +142,8 @@ def integrate(
     N = _validate.integer("N", N, 0)
     dt = _validate.positive("dt", dt)
     t0 = _validate.number("t0", t0)
-    step = step_of(method)
-    if method == SEMI_IMPLICIT_EULER and (x.ndim == 0 or len(x) % 2):
-        raise ValueError(
-            f"{SEMI_IMPLICIT_EULER} needs as many positions as velocities, "
-            f"got x0 of shape {x.shape}"
-        )
-    f = _checked(f, x, t0)
+    step = step_of(method, x.shape)
+    f = _checked(f, np.iscomplexobj(x))
     ts = t0 + dt * np.arange(N + 1)
     xs = np.empty((N + 1, *x.shape), dtype=x.dtype)
     xs[0] = x
@@ -159,20 +154,29 @@ def integrate(
                 reason = "" if np.isfinite(xs[k + 1]).all() else "the next state is not finite"
             except _NoSolution as failure:
                 reason = str(failure)
-            if reason:
-                raise DivergenceError(
-                    f"integration stopped at t = {ts[k]:.6g}, x = {xs[k]}: {reason}; "
-                    f"{k} of {N} steps are in .trajectory",
-                    time=float(ts[k]),
-                    state=xs[k],
-                    trajectory=_partial(ts[: k + 1], xs[: k + 1]),
-                )
+            if not reason:
+                continue
+            if k == 0:  # a function that is not finite at the start is the caller's mistake
+                _validate.array("f(x0, t0)", f(x, t0))
+            raise DivergenceError(
+                f"integration stopped at t = {ts[k]:.6g}, x = "
+                f"{np.array2string(xs[k], precision=4, threshold=8)}: {reason}; "
+                f"{k} of {N} steps are in .trajectory",
+                time=float(ts[k]),
+                state=np.array(xs[k]),
+                trajectory=None if np.iscomplexobj(xs) else _partial(ts[: k + 1], xs[: k + 1]),
+            )
     return ts, xs
 
 
-def step_of(method: str | ButcherTableau) -> Step:
-    """The function step(f, x, t, dt) -> x_next of a method; f(x, t) must return an array."""
+def step_of(method: str | ButcherTableau, shape: tuple[int, ...]) -> Step:
+    """The function step(f, x, t, dt) -> x_next of a method, for states of a shape."""
     if method == SEMI_IMPLICIT_EULER:
+        if not shape or shape[0] % 2:
+            raise ValueError(
+                f"{SEMI_IMPLICIT_EULER} needs as many positions as velocities, "
+                f"got a state of shape {shape}"
+            )
         return _semi_implicit_step
     tableau = as_tableau(method)
     A, b, c = (np.array(part, dtype=float) for part in (tableau.A, tableau.b, tableau.c))
@@ -196,14 +200,18 @@ def _semi_implicit_step(f: Function, x: np.ndarray, t: float, dt: float) -> np.n
     return x_next
 
 
-def _explicit_stages(f, x, t, dt, A, c) -> np.ndarray:
+def _explicit_stages(
+    f: Function, x: np.ndarray, t: float, dt: float, A: np.ndarray, c: np.ndarray
+) -> np.ndarray:
     K = np.zeros((len(c), *x.shape), dtype=x.dtype)
     for i in range(len(c)):
         K[i] = f(x + dt * np.tensordot(A[i, :i], K[:i], axes=1), t + c[i] * dt)
     return K
 
 
-def _implicit_stages(f, x, t, dt, A, c) -> np.ndarray:
+def _implicit_stages(
+    f: Function, x: np.ndarray, t: float, dt: float, A: np.ndarray, c: np.ndarray
+) -> np.ndarray:
     """Solve K_i = f(x + dt sum_j A_ij K_j, t + c_i dt) by Newton's method.
 
     Solving for K, not for the stages' states, keeps a stiff step accurate: the rounding
@@ -231,31 +239,30 @@ def _implicit_stages(f, x, t, dt, A, c) -> np.ndarray:
 def _jacobian(f: Function, x: np.ndarray, t: float, value: np.ndarray) -> np.ndarray:
     """Forward differences: Newton's method corrects their error in its next iteration."""
     J = np.empty((x.size, x.size), dtype=x.dtype)
-    for j in range(x.size):
-        shifted = x.copy()
-        shifted.flat[j] += _DIFFERENCE * max(1.0, abs(x.flat[j]))
-        J[:, j] = (f(shifted, t) - value).ravel() / (shifted.flat[j] - x.flat[j])
+    for j, component in enumerate(np.ravel(x)):
+        shifted = np.array(x)
+        shifted.flat[j] += _DIFFERENCE * max(1.0, abs(component))
+        J[:, j] = np.ravel(f(shifted, t) - value) / (shifted.flat[j] - component)
     return J
 
 
-def _checked(f: Function, x0: np.ndarray, t0: float) -> Function:
-    """Wrap f so that its result is an array of the shape of x0; x0 must give finite ones."""
+def _checked(f: Function, complex_state: bool) -> Function:
+    """Wrap f so that its result is an array of numbers of the shape of x."""
     if not callable(f):
         raise TypeError(f"f must be a function f(x, t), got {f!r}")
 
     def checked(x: np.ndarray, t: float) -> np.ndarray:
-        value = np.asarray(f(x, float(t)))
+        value = np.asarray(f(np.copy(x), float(t)))  # a copy: f may work in place
         if value.dtype.kind not in "biufc":
             raise TypeError(f"f(x, t) must return numbers, got {value!r} at t = {t:.6g}")
         if value.shape != x.shape:
             raise ValueError(
                 f"f(x, t) must return the shape of x, {x.shape}, got {value.shape} at t = {t:.6g}"
             )
-        if np.iscomplexobj(value) and not np.iscomplexobj(x0):
+        if np.iscomplexobj(value) and not complex_state:
             raise TypeError("f(x, t) returned complex numbers for a real state: give a complex x0")
         return value
 
-    _validate.array("f(x0, t0)", checked(x0, t0))
     return checked
 
 

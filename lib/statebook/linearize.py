@@ -96,7 +96,9 @@ class Equilibrium:
     unknowns: int
 
     def __repr__(self) -> str:
-        x, u = (np.array2string(a + 0.0, precision=6, suppress_small=True) for a in (self.x, self.u))
+        x, u = (
+            np.array2string(a + 0.0, precision=6, suppress_small=True) for a in (self.x, self.u)
+        )
         kind = "isolated" if self.rank == self.unknowns else "not isolated"
         return f"Equilibrium(x={x}, u={u}, {kind}: rank {self.rank} of {self.unknowns} unknowns)"
 

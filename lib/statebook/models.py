@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 class _Model:
     """What all models share: checked parameters, checked arguments, conversion."""
 
-    states: tuple[str, ...]
-    inputs: tuple[str, ...]
+    states: ClassVar[tuple[str, ...]]
+    inputs: ClassVar[tuple[str, ...]]
     linear: ClassVar[bool] = False
 
     def __post_init__(self) -> None:

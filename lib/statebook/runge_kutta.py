@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -50,11 +52,11 @@ class ButcherTableau:
     """
 
     name: str
-    A: tuple[tuple[Fraction, ...], ...]
-    b: tuple[Fraction, ...]
-    c: tuple[Fraction, ...]
+    A: Sequence[Sequence[Any]]
+    b: Sequence[Any]
+    c: Sequence[Any]
     order: int
-    b_embedded: tuple[Fraction, ...] | None = None
+    b_embedded: Sequence[Any] | None = None
 
     def __post_init__(self) -> None:
         _validate.integer("order", self.order, 1)
@@ -140,15 +142,15 @@ def _determinant(M: list[list[Fraction]]) -> np.ndarray:
     size = len(M)
     coefficients = [Fraction(1)]
     product = [[Fraction(0)] * size for _ in range(size)]
-    for k in range(1, size + 1):
-        # Invariant: product = M^(k-1) + c_1 M^(k-2) + ... + c_(k-1) I, multiplied by M below.
+    for power in range(1, size + 1):
+        # Invariant: product = M^(p-1) + c_1 M^(p-2) + ... + c_(p-1) I, then multiplied by M.
         for i in range(size):
             product[i][i] += coefficients[-1]
         product = [
-            [sum((M[i][j] * product[j][l] for j in range(size)), Fraction(0)) for l in range(size)]
+            [sum((M[i][k] * product[k][j] for k in range(size)), Fraction(0)) for j in range(size)]
             for i in range(size)
         ]
-        coefficients.append(-sum((product[i][i] for i in range(size)), Fraction(0)) / k)
+        coefficients.append(-sum((product[i][i] for i in range(size)), Fraction(0)) / power)
     while coefficients[-1] == 0:
         coefficients.pop()
     result = np.array([float(c) for c in coefficients])
@@ -200,7 +202,12 @@ def as_tableau(method: str | ButcherTableau) -> ButcherTableau:
     """The tableau of a method's name (a tableau is its own)."""
     if isinstance(method, ButcherTableau):
         return method
-    return METHODS[_validate.choice("method", method, tuple(METHODS))]
+    if method == SEMI_IMPLICIT_EULER:
+        raise ValueError(
+            f"{SEMI_IMPLICIT_EULER} is a partitioned method: it has an amplification_matrix, but "
+            "neither a tableau nor a stability function"
+        )
+    return METHODS[_validate.choice("method", method, (*METHODS, SEMI_IMPLICIT_EULER))]
 
 
 def stability_function(method: str | ButcherTableau, z: complex | np.ndarray):
@@ -230,7 +237,7 @@ def stability_function(method: str | ButcherTableau, z: complex | np.ndarray):
 def amplification_matrix(A: np.ndarray, dt: float | np.ndarray, method: str | ButcherTableau):
     """The matrix M of one step x_next = M x of a method on x' = A x.
 
-    ``M = det(I - z A)^-1 det(...)`` read with z A replaced by dt A, that is R(dt A).
+    ``M = R(dt A)``, the stability function of the method with z replaced by a matrix.
     "semi_implicit_euler" takes the first half of the state for positions q and the second for
     velocities v: ``v_next = v + dt f_v(q, v)``, then ``q_next = q + dt f_q(q, v_next)``.
 
@@ -271,7 +278,7 @@ def amplification_matrix(A: np.ndarray, dt: float | np.ndarray, method: str | Bu
         half = A.shape[-1] // 2
         if A.shape[-1] % 2:
             raise ValueError(
-                f"{SEMI_IMPLICIT_EULER} needs as many positions as velocities, got n = {half * 2 + 1}"
+                f"{SEMI_IMPLICIT_EULER} needs as many positions as velocities, got A {A.shape}"
             )
         kick, drift = identity.copy(), identity.copy()
         kick[..., half:, :] += Z[..., half:, :]

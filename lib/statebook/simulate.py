@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -11,19 +9,22 @@ import scipy
 
 from statebook import _validate
 from statebook._policy import Policy, as_policy, first_control, segments
+from statebook._stepping import (
+    SOLVERS,
+    Flow,
+    StoppedError,
+    adaptive_steps,
+    fixed_steps,
+    iterate,
+)
 from statebook.control_trajectory import ControlTrajectory, increasing
 from statebook.errors import DivergenceError
-from statebook.integrate import step_of
 from statebook.runge_kutta import METHODS, SEMI_IMPLICIT_EULER
 from statebook.systems import System, as_system
 from statebook.trajectory import Trajectory
 
-_SOLVERS = ("RK45", "RK23", "DOP853", "Radau", "BDF", "LSODA")
 _FIXED_STEP = (*METHODS, SEMI_IMPLICIT_EULER)
 _SAMPLES = 201
-_SMALLEST_RTOL = 100 * np.finfo(float).eps  # SciPy's own limit
-_CHECK_EVERY = 10_000  # steps
-_HOPELESS = 1e8  # steps
 
 
 def simulate(
@@ -99,27 +100,86 @@ def simulate(
     if given is None and duration is None and isinstance(u, ControlTrajectory):
         start, duration = u.breakpoints[0], u.duration
     first_state = x0 if x0.ndim == 1 else x0[:, 0]
-    system = as_system(system, x0, _first_control(u, first_state, start))
+    system = as_system(system, x0, first_control(u, first_state, start))
     if system.n != len(x0):
         raise ValueError(f"x0 must have n = {system.n} rows for {system.name}, got {x0.shape}")
-    _validate.choice("method", method, _SOLVERS + _FIXED_STEP)
+    _validate.choice("method", method, SOLVERS + _FIXED_STEP)
     if method in _FIXED_STEP and given is None and not system.discrete:
         raise ValueError(f'method "{method}" steps from time to time: give times, not duration')
     times = _times(given, duration, start, system)
+    if isinstance(u, ControlTrajectory):
+        _check_span(u, times)
     policy = as_policy(u, system.m, x0, times[0])
-    stretches = _stretches(u, policy, times)
-    _check_dynamics(system, x0, policy(x0, times[0]), times[0])
-    flow = _Flow(system)
+    _check_start(system, x0, policy(x0, times[0]), times[0])
+    flow = Flow(system)
+    stretches = segments(u, policy, times[0], times[-1])
     if system.discrete:
-        samples = _iterate(flow, x0, policy, times)
+        samples = iterate(flow, x0, policy, times, float(system.dt or 0))
     elif method in _FIXED_STEP:
-        samples = _fixed_steps(flow, x0, stretches, times, method)
+        samples = fixed_steps(flow, x0, stretches, times, method)
     else:
-        rtol, atol = _validate.positive("rtol", rtol), _validate.positive("atol", atol)
-        samples = _adaptive_steps(flow, x0, stretches, times, method, rtol, atol)
+        tolerances = _validate.positive("rtol", rtol), _validate.positive("atol", atol)
+        samples = adaptive_steps(flow, x0, stretches, times, method, *tolerances)
 
     states = [x0]
-    with np.errstate(all="ignore"):
+    with np.errstate(all="ignore"):  # an overflow is reported as the divergence it is
         try:
-            states.extend(samples)
-        except _Stopped as stop:
+            for state in samples:
+                states.append(state)
+        except StoppedError as stop:
+            known = _trajectory(system, times[: len(states)], states, policy)
+            raise DivergenceError(
+                f"simulation of {system.name} stopped at t = {stop.time:.6g}, x = "
+                f"{np.array2string(stop.state, precision=4, threshold=8)}: {stop}; "
+                f"{len(states)} of {len(times)} samples are in .trajectory",
+                time=stop.time,
+                state=stop.state,
+                trajectory=known,
+            ) from None
+        return _trajectory(system, times, states, policy)
+
+
+def _times(given: np.ndarray | None, duration: Any, start: float, system: System) -> np.ndarray:
+    if (given is None) == (duration is None):
+        raise ValueError("give either duration or times" + (", not both" if duration else ""))
+    if given is None:
+        duration = _validate.positive("duration", duration)
+    if not system.discrete:
+        return np.linspace(start, start + duration, _SAMPLES) if given is None else given
+    dt = float(system.dt or 1)
+    spans = np.array([duration]) if given is None else given - start
+    counts = np.round(spans / dt)
+    if np.any(np.abs(spans - counts * dt) > 1e-9 * np.maximum(dt, np.abs(spans))):
+        name = "duration" if given is None else "times"
+        raise ValueError(
+            f"{name} must be whole samples of dt = {dt:g} apart, got {duration or given}"
+        )
+    return start + dt * np.arange(counts[0] + 1) if given is None else given
+
+
+def _check_span(u: ControlTrajectory, times: np.ndarray) -> None:
+    start, end = u.breakpoints[[0, -1]]
+    slack = 1e-12 * max(np.abs(times[[0, -1]]).max(), end - start)
+    if times[0] < start - slack or times[-1] > end + slack:
+        raise ValueError(
+            f"u must cover the simulated times [{times[0]:g}, {times[-1]:g}], "
+            f"got a control trajectory over [{start:g}, {end:g}]"
+        )
+
+
+def _check_start(system: System, x0: np.ndarray, u: np.ndarray, t: float) -> None:
+    _validate.array("u(x0, t0)", u)
+    with np.errstate(all="ignore"):
+        if np.iscomplexobj(system.dynamics(x0, u, float(t))):
+            raise TypeError(f"{system.name} must return real numbers for real x, got complex ones")
+
+
+def _trajectory(system: System, times: Any, states: Any, policy: Policy) -> Trajectory:
+    controls = [policy(x, float(t)) for x, t in zip(states, times, strict=True)]
+    return Trajectory(
+        times,
+        np.stack(states, axis=-1),
+        np.stack(controls, axis=-1) if system.m else None,
+        state_labels=system.states,
+        input_labels=system.inputs if system.m else None,
+    )

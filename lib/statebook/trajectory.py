@@ -370,9 +370,7 @@ class Trajectory:
             writer.writerows(rows)
 
     @classmethod
-    def from_csv(
-        cls, path: str | os.PathLike[str], *, circle: tuple[int, ...] = ()
-    ) -> Trajectory:
+    def from_csv(cls, path: str | os.PathLike[str], *, circle: tuple[int, ...] = ()) -> Trajectory:
         """Read what `to_csv` wrote.
 
         Parameters

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from statebook.regression.execute import run_all, write
+from statebook.regression.execute import keep_agreeing, read, run_all, write
 
 
 def _positive(text: str) -> float:
@@ -51,7 +51,14 @@ def _parser() -> argparse.ArgumentParser:
         "execute", parents=[common], help="write executed copies, leave the originals alone"
     )
     execute.add_argument("--output-dir", type=Path, required=True, metavar="DIR")
-    commands.add_parser("refresh", parents=[common], help="execute in place")
+    refresh = commands.add_parser(
+        "refresh", parents=[common], help="execute in place; outputs that agree stay as they are"
+    )
+    refresh.add_argument(
+        "--all",
+        action="store_true",
+        help="replace every output, as after a change of style that leaves the data alone",
+    )
     return parser
 
 
@@ -81,7 +88,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return "executed"
 
     def replace(path: Path, nb: Any) -> str:
-        return "rewritten" if write(nb, path) else "unchanged"
+        changed = [] if options.all else keep_agreeing(read(path), nb)
+        if not write(nb, path):
+            return "unchanged"
+        return f"rewritten, new outputs: {', '.join(changed) or 'all'}"
 
     failed = run_all(
         options.files,

@@ -3,6 +3,7 @@
 import asyncio
 import os
 import signal
+import subprocess
 import sys
 import tempfile
 import time
@@ -17,7 +18,9 @@ from jupyter_client.manager import AsyncKernelManager
 from nbclient import NotebookClient
 from nbclient.exceptions import CellExecutionError, CellTimeoutError, DeadKernelError
 
+from statebook.regression.figures import MIME_TYPE
 from statebook.regression.normalize import normalize
+from statebook.regression.outputs import Tolerance, outputs_differences, tolerance_tags
 
 
 class NotebookError(Exception):
@@ -102,6 +105,46 @@ def write(nb: Any, path: Path) -> bool:
     return True
 
 
+def keep_agreeing(stored: Any, nb: Any) -> list[str]:
+    """Give the cells of an executed notebook their stored outputs where they agree.
+
+    So a run on another machine, with other last digits and other picture bytes, changes
+    nothing. A picture without a data digest agrees only if it is the same file.
+
+    Parameters
+    ----------
+    stored : nbformat.NotebookNode
+        The notebook as it was before it was executed.
+    nb : nbformat.NotebookNode
+        The same notebook, executed; changed in place.
+
+    Returns
+    -------
+    changed : list of str
+        The cells with new outputs, as "In [3]".
+    """
+    normalize(stored)
+    changed = []
+    for old, cell in zip(stored.cells, nb.cells, strict=True):
+        if cell.cell_type != "code" or old.outputs == cell.outputs:
+            continue
+        if outputs_differences(old.outputs, cell.outputs, Tolerance(**tolerance_tags(cell))) or (
+            _bare_pictures(old) != _bare_pictures(cell)
+        ):
+            changed.append(f"In [{cell.execution_count}]")
+        else:
+            cell["outputs"] = old.outputs
+            for output in cell.outputs:
+                if output.output_type == "execute_result":
+                    output["execution_count"] = cell.execution_count
+    return changed
+
+
+def _bare_pictures(cell: Any) -> list[Any]:
+    bundles = [output.get("data", {}) for output in cell.outputs]
+    return [bundle.get("image/png") for bundle in bundles if MIME_TYPE not in bundle]
+
+
 async def execute(nb: Any, folder: Path, timeout: float) -> None:
     """Execute a notebook in place, with its kernel closed at the end.
 
@@ -147,7 +190,8 @@ async def execute(nb: Any, folder: Path, timeout: float) -> None:
     environment = {k: v for k, v in os.environ.items() if k != "MPLBACKEND"}
     environment.setdefault("PYTHONHASHSEED", "0")
     try:
-        await client.async_execute(env=environment)
+        # What the kernel process itself says is noise; the cells' stderr is an output.
+        await client.async_execute(env=environment, stderr=subprocess.DEVNULL)
     except CellExecutionError as error:
         raise NotebookError(f"{position}: {error.ename}: {error.evalue}") from error
     except CellTimeoutError as error:

@@ -13,9 +13,9 @@ EPS = float(np.finfo(float).eps)
 _UNIT_SPAN = 1e24
 
 
-def rounding(norm: float, n: int) -> float:
+def rounding(norm: float, n: int, precision: float = EPS) -> float:
     """Norm of the perturbations to which n x n arithmetic is blind: 8 n eps norm."""
-    return 8 * n * EPS * norm
+    return 8 * n * precision * norm
 
 
 @dataclass(frozen=True)
@@ -32,6 +32,8 @@ class Block:
         Its Schur form and basis.
     scale : array, shape (k,)
         Units of the balanced states.
+    precision : float
+        Relative error of the matrix: eps, or more if it was measured or differenced.
     """
 
     index: np.ndarray
@@ -39,15 +41,16 @@ class Block:
     T: np.ndarray
     Q: np.ndarray
     scale: np.ndarray
+    precision: float = EPS
 
 
-def decompose(A: np.ndarray) -> list[Block]:
+def decompose(A: np.ndarray, precision: float = EPS) -> list[Block]:
     """Split a matrix into its irreducible diagonal blocks, block upper triangular in order.
 
     Zeros that are exact decouple exactly: the eigenvalues of a chain of integrators are then
     zeros, and not the cube root of rounding.
     """
-    return [_block(A, index) for index in _strong_components(A)]
+    return [_block(A, index, precision) for index in _strong_components(A)]
 
 
 def _strong_components(A: np.ndarray) -> list[np.ndarray]:
@@ -65,7 +68,7 @@ def weak_components(A: np.ndarray) -> list[np.ndarray]:
     return [np.flatnonzero(labels == label) for label in range(count)]
 
 
-def _block(A: np.ndarray, index: np.ndarray) -> Block:
+def _block(A: np.ndarray, index: np.ndarray, precision: float) -> Block:
     matrix, (scale, _) = scipy.linalg.matrix_balance(
         A[np.ix_(index, index)], permute=False, separate=True
     )
@@ -78,7 +81,7 @@ def _block(A: np.ndarray, index: np.ndarray) -> Block:
         for k in np.flatnonzero(np.diag(R, -1)):
             omega = np.sqrt(abs(R[k, k + 1])) * np.sqrt(abs(R[k + 1, k]))
             T[k, k], T[k + 1, k + 1] = R[k, k] + 1j * omega, R[k, k] - 1j * omega
-    return Block(index, matrix, T, Q, scale)
+    return Block(index, matrix, T, Q, scale, precision)
 
 
 def assemble(A: np.ndarray, blocks: list[Block]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -95,11 +98,12 @@ def assemble(A: np.ndarray, blocks: list[Block]) -> tuple[np.ndarray, np.ndarray
     return T, Q, B
 
 
-def with_comparable_couplings(A: np.ndarray, blocks: list[Block]) -> np.ndarray:
+def with_comparable_couplings(A: np.ndarray, blocks: list[Block], discrete: bool) -> np.ndarray:
     """Choose units in which couplings between blocks are as large as the blocks.
 
     Balancing has no say on one-way couplings: it could make them as small as it liked. The
-    units minimize the sum of squares of log(coupling / largest block).
+    units minimize the sum of squares of log(coupling / largest block), or of log(coupling) for
+    a map, whose measure is the unit circle.
     """
     end = np.cumsum([len(block.index) for block in blocks])
     owner = np.searchsorted(end, np.arange(end[-1]), side="right")
@@ -108,7 +112,7 @@ def with_comparable_couplings(A: np.ndarray, blocks: list[Block]) -> np.ndarray:
     if len(rows) == 0:
         return B
     logs = np.log(np.abs(B[rows, columns]))
-    rate = max(np.linalg.norm(block.matrix, 2) for block in blocks)
+    rate = 1.0 if discrete else max(np.linalg.norm(block.matrix, 2) for block in blocks)
     target = np.log(rate) if rate > 0 else logs.mean()
     equations = np.zeros((len(rows), len(blocks)))
     equations[np.arange(len(rows)), owner[rows]] += 1

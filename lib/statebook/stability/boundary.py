@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
 
-from statebook.stability.blocks import EPS, Block, assemble, rounding
+from statebook.stability.blocks import Block, assemble, rounding
 
 # A Jordan coupling this many times above rounding is beyond doubt.
 _CLEAR = 1e3
@@ -24,7 +24,7 @@ class Cluster:
     members : array of int
         Their places on the diagonal of the block's Schur form.
     point : complex
-        The point of the boundary nearest to their mean.
+        Where they are, without the blur: their mean, or the boundary if the mean is on it.
     side : int
         -1 inside, 0 on the boundary, 1 beyond: where their mean is.
     defective : bool
@@ -44,9 +44,9 @@ class Cluster:
     spread: float
 
 
-def margin(eigenvalues: np.ndarray, discrete: bool) -> np.ndarray:
+def margin(eigenvalues, discrete: bool):
     """Distance of eigenvalues from the boundary, positive inside."""
-    return 1 - np.abs(eigenvalues) if discrete else -eigenvalues.real
+    return 1 - np.abs(eigenvalues) if discrete else -np.real(eigenvalues)
 
 
 def project(eigenvalues, discrete: bool):
@@ -60,7 +60,7 @@ def project(eigenvalues, discrete: bool):
 def tolerance(block: Block, discrete: bool) -> float:
     """Rounding of a balanced block; a map has the size of the unit circle at least."""
     norm = float(np.linalg.norm(block.matrix, 2))
-    return rounding(max(norm, 1.0) if discrete else norm, len(block.index))
+    return rounding(max(norm, 1.0) if discrete else norm, len(block.index), block.precision)
 
 
 def clusters(blocks: list[Block], discrete: bool) -> list[Cluster]:
@@ -73,32 +73,34 @@ def clusters(blocks: list[Block], discrete: bool) -> list[Cluster]:
 
 
 def _groups(T: np.ndarray, tol: float, discrete: bool) -> list[np.ndarray]:
-    """Eigenvalues whose nearest boundary points lie in one piece of the pseudospectrum.
+    """Eigenvalues that share a piece of the pseudospectrum of rounding with the boundary.
 
-    A Jordan block of size k leaves a cluster of radius eps^(1/k), but at every point p inside
-    it the smallest singular value of T - p I is at rounding.
+    A Jordan block of size k leaves a cluster of radius eps^(1/k), but at every point p of it
+    and between it and the boundary the smallest singular value of T - p I is at rounding.
     """
-    points = project(np.diag(T), discrete)
-    near = np.array([_gap(T, point) <= tol for point in points], dtype=bool)
+    eigenvalues = np.diag(T)
+    points = project(eigenvalues, discrete)
+    near = [_linked(T, value, p, tol) for value, p in zip(eigenvalues, points, strict=True)]
     members = np.flatnonzero(near)
     members = members[np.argsort(np.angle(points[members]) if discrete else points[members].imag)]
     groups: list[list[int]] = []
-    for place in members:
-        if groups and _linked(T, points[groups[-1][-1]], points[place], tol, discrete):
+    for place in members.tolist():
+        if groups and _linked(T, points[groups[-1][-1]], points[place], tol):
             groups[-1].append(place)
         else:
             groups.append([place])
-    if discrete and len(groups) > 1:
-        if _linked(T, points[groups[-1][-1]], points[groups[0][0]], tol, discrete):
-            groups[0] = groups.pop() + groups[0]
+    if (
+        discrete
+        and len(groups) > 1
+        and _linked(T, points[groups[-1][-1]], points[groups[0][0]], tol)
+    ):
+        groups[0] = groups.pop() + groups[0]
     return [np.array(group) for group in groups]
 
 
-def _linked(T: np.ndarray, a: complex, b: complex, tol: float, discrete: bool) -> bool:
-    middle = (a + b) / 2
-    if discrete and abs(middle) < 0.5:
-        return False
-    return _gap(T, complex(project(middle, discrete))) <= tol
+def _linked(T: np.ndarray, start: complex, end: complex, tol: float) -> bool:
+    """Whether the way from one point to another stays where rounding may put eigenvalues."""
+    return all(_gap(T, start + t * (end - start)) <= tol for t in (1.0, 0.5, 0.25, 0.75))
 
 
 def _gap(T: np.ndarray, point: complex) -> float:
@@ -118,13 +120,13 @@ def _judge(number: int, block: Block, members: np.ndarray, discrete: bool) -> Cl
     projector = Q[:, :p] @ np.hstack([np.eye(p), Z]) @ Q.conj().T
     # First order: the mean moves by trace(projector E) / p, entries of E being rounding errors.
     size = np.abs(Q) @ np.abs(T) @ np.abs(Q).T
-    moved = rounding(float(np.sum(np.abs(projector).T * size)) / p, k)
+    moved = rounding(float(np.sum(np.abs(projector).T * size)) / p, k, block.precision)
     if discrete:
-        moved = max(moved, rounding(1.0, k))
+        moved = max(moved, rounding(1.0, k, block.precision))
     spread = tol * float(np.linalg.norm(projector, 2))
     if abs(mean - point) > moved:
-        side = -1 if margin(np.array(mean), discrete) > 0 else 1
-        return Cluster(number, members, point, side, False, False, spread)
+        side = -1 if margin(mean, discrete) > 0 else 1
+        return Cluster(number, members, mean, side, False, False, spread)
     couplings = np.linalg.svd(T[:p, :p] - point * np.eye(p), compute_uv=False)
     lost = couplings <= spread
     if p == 1 or lost.all():
@@ -141,9 +143,7 @@ def _leading(block: Block, members: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return T, Q
 
 
-def shared_jordan_points(
-    A: np.ndarray, blocks: list[Block], found: list[Cluster]
-) -> list[complex]:
+def shared_jordan_points(A: np.ndarray, blocks: list[Block], found: list[Cluster]) -> list[complex]:
     """Boundary points at which a coupling between blocks makes a Jordan block.
 
     The clusters are semisimple by themselves, so the null space of G = A - point I is as
@@ -154,9 +154,7 @@ def shared_jordan_points(
     rest = [cluster for cluster in found if cluster.side == 0 and not cluster.defective]
     while rest:
         first, *rest = rest
-        group = [first] + [
-            c for c in rest if abs(c.point - first.point) <= c.spread + first.spread
-        ]
+        group = [first] + [c for c in rest if abs(c.point - first.point) <= c.spread + first.spread]
         rest = [c for c in rest if not any(c is member for member in group)]
         if len(group) > 1 and _coupled(A, blocks, group):
             points.append(first.point)
@@ -168,7 +166,7 @@ def _coupled(A: np.ndarray, blocks: list[Block], group: list[Cluster]) -> bool:
     for cluster in group:
         block = blocks[cluster.block]
         T, Q = _leading(block, cluster.members)
-        blocks[cluster.block] = Block(block.index, block.matrix, T, Q, block.scale)
+        blocks[cluster.block] = replace(block, T=T, Q=Q)
     T, Q, B = assemble(A, blocks)
     start = np.concatenate([[0], np.cumsum([len(block.index) for block in blocks])])
     m = np.concatenate([start[c.block] + np.arange(len(c.members)) for c in group])
@@ -180,4 +178,4 @@ def _coupled(A: np.ndarray, blocks: list[Block], group: list[Cluster]) -> bool:
     S = G[np.ix_(m, m)] - G[np.ix_(m, o)] @ inverse @ G[np.ix_(o, m)]
     bound = size[np.ix_(m, m)] + size[np.ix_(m, o)] @ np.abs(inverse) @ size[np.ix_(o, m)]
     between = home[:, None] != home
-    return bool(np.any((np.abs(S) > 8 * len(T) * EPS * bound) & between))
+    return bool(np.any((np.abs(S) > rounding(1.0, len(T), blocks[0].precision) * bound) & between))

@@ -1,0 +1,250 @@
+"""From continuous to discrete time: systems, matrices and eigenvalues."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import scipy
+
+from statebook import _validate
+from statebook.linearize import linearize
+from statebook.systems import as_system
+
+if TYPE_CHECKING:
+    import control
+
+DISCRETIZATIONS = ("zoh", "foh", "euler", "backward_euler", "tustin")
+
+
+def discretize(
+    sys: Any, dt: float, method: str = "zoh", *, prewarp: float | None = None
+) -> control.StateSpace:
+    """Discretize a linear system.
+
+    Parameters
+    ----------
+    sys : control.StateSpace or any linear system of `as_system`
+        Continuous-time system x' = A x + B u, y = C x + D u.
+    dt : float > 0 [s]
+        Sample time.
+    method : {"zoh", "foh", "euler", "backward_euler", "tustin"}
+        "zoh" is exact for inputs held between samples, "foh" for inputs linear between them;
+        see `discretize_many` for the formulas.
+    prewarp : float > 0 [rad/s], optional
+        With "tustin": the frequency (below pi/dt) at which the frequency response is kept.
+
+    Returns
+    -------
+    control.StateSpace
+        With timebase dt and the labels and name of sys.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If sys is not linear or not in continuous time, dt is not positive, the method is
+        unknown, I - dt A (or I - dt/2 A) is singular, or prewarp does not fit.
+
+    Notes
+    -----
+    "foh", "backward_euler" and "tustin" change C and D too, as their state is not x(t_k) itself:
+    see `discretize_many`.
+
+    References
+    ----------
+    Franklin, Powell and Workman, *Digital Control of Dynamic Systems*, sections 4.3 and 6.1-6.3.
+
+    Examples
+    --------
+    >>> import control
+    >>> sys = control.ss([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+    >>> discretize(sys, 0.5, "euler").A
+    array([[0.5]])
+    """
+    import control
+
+    dt = _sample_time(dt)
+    if prewarp is not None:
+        prewarp = _validate.positive("prewarp", prewarp)
+        if method != "tustin":
+            raise ValueError(f'prewarp belongs to method "tustin", got method {method!r}')
+        if prewarp * dt >= np.pi:
+            raise ValueError(
+                f"prewarp must be below pi/dt = {np.pi / dt:.4g} rad/s, got {prewarp:.4g}"
+            )
+    sys = _state_space(sys)
+    A, B, C, D = (np.asarray(M) for M in (sys.A, sys.B, sys.C, sys.D))
+    # Prewarping is a change of the step that the trapezoidal rule takes.
+    step = dt if prewarp is None else 2 * np.tan(prewarp * dt / 2) / prewarp
+    Ad, Bd, S, G = one_step(A, B, step, method)
+    return control.ss(
+        Ad,
+        Bd,
+        C @ S,
+        D + C @ G,
+        dt,
+        states=list(sys.state_labels),
+        inputs=list(sys.input_labels),
+        outputs=list(sys.output_labels),
+        name=sys.name,
+    )
+
+
+def discretize_many(
+    A: Any, B: Any, dt: float, method: str = "zoh"
+) -> tuple[np.ndarray, np.ndarray]:
+    """Discretize a stack of pairs (A, B).
+
+    With h = dt, ``z_{k+1} = Ad z_k + Bd u_k``:
+
+    - "zoh": Ad = exp(h A), Bd = (integral of exp(s A) over 0..h) B; z = x.
+    - "foh": the exact response to inputs that are linear between samples; z = x - G u, with G
+      the response at h to a ramp that rises to 1 in h: B's share of u_{k+1} in x_{k+1}.
+    - "euler": Ad = I + h A, Bd = h B; z = x.
+    - "backward_euler": Ad = (I - h A)^-1, Bd = Ad h B; z = (I - h A) x - h B u.
+    - "tustin" (trapezoidal): Ad = (I - h A/2)^-1 (I + h A/2), Bd = (I - h A/2)^-1 h B;
+      z = (I - h A/2) x - h B u / 2.
+
+    Parameters
+    ----------
+    A : array, shape (N, n, n) or (n, n)
+        Continuous-time matrices; singular ones are no exception.
+    B : array, shape (N, n, m) or (n, m)
+    dt : float > 0 [s]
+        Sample time.
+    method : {"zoh", "foh", "euler", "backward_euler", "tustin"}
+
+    Returns
+    -------
+    Ad : array, shape of A
+    Bd : array, shape of B
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a shape is wrong, an entry is not finite, dt is not positive, the method is unknown,
+        or I - dt A (or I - dt/2 A) is singular.
+
+    References
+    ----------
+    Van Loan, IEEE Trans. Automatic Control 23 (1978) 395 (integrals from one exponential).
+
+    Examples
+    --------
+    >>> Ad, Bd = discretize_many([[[0.0, 1.0], [0.0, 0.0]]], [[[0.0], [1.0]]], 0.5)
+    >>> Ad[0].tolist(), Bd[0].tolist()
+    ([[1.0, 0.5], [0.0, 1.0]], [[0.125], [0.5]])
+    """
+    A, B = pair(A, B)
+    Ad, Bd, _, _ = one_step(A, B, _sample_time(dt), method)
+    return Ad, Bd
+
+
+def map_eigenvalues(s: Any, dt: float, method: str = "zoh") -> np.ndarray:
+    """Where a discretization sends eigenvalues.
+
+    exp(s dt) for "zoh" and "foh", 1 + s dt for "euler", 1 / (1 - s dt) for "backward_euler" and
+    (1 + s dt/2) / (1 - s dt/2) for "tustin".
+
+    Parameters
+    ----------
+    s : array of complex [1/s]
+        Continuous-time eigenvalues.
+    dt : float > 0 [s]
+        Sample time.
+    method : {"zoh", "foh", "euler", "backward_euler", "tustin"}
+
+    Returns
+    -------
+    array of complex, shape of s
+        Eigenvalues of the map; infinite at a pole.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If s is not finite, dt is not positive or the method is unknown.
+
+    Examples
+    --------
+    >>> map_eigenvalues([-2.0, 2j], 1.0, "tustin").round(3).tolist()
+    [0j, 1j]
+    """
+    z = _validate.array("s", s).astype(complex) * _sample_time(dt)
+    _validate.choice("method", method, DISCRETIZATIONS)
+    if method in ("zoh", "foh"):
+        return np.exp(z)
+    if method == "euler":
+        return 1 + z
+    below = 1 - (z if method == "backward_euler" else z / 2)
+    above = np.ones_like(z) if method == "backward_euler" else 1 + z / 2
+    return np.divide(above, below, out=np.full_like(z, np.inf), where=below != 0)
+
+
+def one_step(
+    A: np.ndarray, B: np.ndarray, h: float, method: str
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return Ad, Bd, S and G: ``z_{k+1} = Ad z_k + Bd u_k`` and ``x = S z + G u``."""
+    _validate.choice("method", method, DISCRETIZATIONS)
+    n, m = B.shape[-2:]
+    identity, none = np.broadcast_to(np.eye(n), A.shape), np.zeros(B.shape)
+    if method == "euler":
+        return identity + h * A, h * B, identity, none
+    if method == "zoh":
+        # exp of [[A, B], [0, 0]] h: no inverse of A.
+        E = scipy.linalg.expm(h * _stacked(A, B, m))
+        return E[..., :n, :n], E[..., :n, n:], identity, none
+    if method == "foh":
+        # The ramp's response from two integrators in a row, in units of the sample time.
+        block = _stacked(h * A, h * B, 2 * m)
+        block[..., n : n + m, n + m :] = np.eye(m)
+        E = scipy.linalg.expm(block)
+        Ad, held, ramp = E[..., :n, :n], E[..., :n, n : n + m], E[..., :n, n + m :]
+        return Ad, held - ramp + Ad @ ramp, identity, ramp
+    weight = h if method == "backward_euler" else h / 2
+    try:
+        S = np.linalg.inv(identity - weight * A)
+    except np.linalg.LinAlgError as error:
+        raise ValueError(
+            f'"{method}" has no step here: 1/{weight:.6g} is an eigenvalue of A; change dt'
+        ) from error
+    Ad = S if method == "backward_euler" else S @ (identity + weight * A)
+    Bd = S @ (h * B)
+    return Ad, Bd, S, Bd * (weight / h)
+
+
+def _stacked(A: np.ndarray, B: np.ndarray, extra: int) -> np.ndarray:
+    """[[A, B, 0], [0, 0, 0]] with `extra` columns and rows after A."""
+    n, m = B.shape[-2:]
+    block = np.zeros((*A.shape[:-2], n + extra, n + extra), dtype=np.result_type(A, B))
+    block[..., :n, :n], block[..., :n, n : n + m] = A, B
+    return block
+
+
+def _state_space(sys: Any) -> control.StateSpace:
+    import control
+
+    system = as_system(sys)
+    if system.discrete:
+        raise ValueError(f"sys must be in continuous time, got one with dt = {system.dt}")
+    if isinstance(sys, control.StateSpace):
+        return sys
+    if not system.linear:
+        raise ValueError("sys must be linear; call linearize(sys, x0, u0) first")
+    result = linearize(system, np.zeros(system.n))
+    result.name = system.name
+    return result
+
+
+def pair(A: Any, B: Any, *, stack: bool = True) -> tuple[np.ndarray, np.ndarray]:
+    A, B = _validate.array("A", A), _validate.array("B", B)
+    if A.ndim not in ((2, 3) if stack else (2,)) or A.shape[-1] != A.shape[-2]:
+        raise ValueError(f"A must have shape {'(N, n, n) or ' * stack}(n, n), got {A.shape}")
+    if B.ndim != A.ndim or B.shape[:-1] != A.shape[:-1]:
+        raise ValueError(
+            f"B must have shape {(*A.shape[:-1], 'm')}, got {B.shape}".replace("'", "")
+        )
+    return A, B
+
+
+def _sample_time(dt: Any) -> float:
+    return _validate.positive("dt", dt)

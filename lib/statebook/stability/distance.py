@@ -1,0 +1,53 @@
+"""Distance to instability: the smallest perturbation that reaches the boundary."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from statebook.stability.judge import ASYMPTOTICALLY_STABLE, is_discrete, judge, square
+from statebook.stability.level_sets import boundary_distance
+
+
+def distance_to_instability(A: Any, *, dt: float | bool | None = None) -> float:
+    """Size of the smallest perturbation that ends stability.
+
+    ``min over omega of sigma_min(A - i omega I)`` in continuous time and ``min over theta of
+    sigma_min(A - exp(i theta) I)`` in discrete time: the 2-norm of the smallest complex E for
+    which A + E has an eigenvalue on the boundary. Eigenvalues alone can be far off it.
+
+    Parameters
+    ----------
+    A : array, shape (n, n)
+        Real or complex matrix, in the units of its states: the distance depends on them.
+    dt : float, bool or None
+        None or 0 is continuous time, True or > 0 [s] discrete, as in python-control.
+
+    Returns
+    -------
+    float
+        The distance; 0 for a matrix that is not asymptotically stable, inf for an empty one.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If A is not a square matrix of finite numbers, or dt is negative.
+
+    References
+    ----------
+    Byers, SIAM J. Sci. Stat. Comput. 9 (1988) 875; Boyd and Balakrishnan, Systems and Control
+    Letters 15 (1990) 1; Trefethen and Embree, *Spectra and Pseudospectra*, section 49.
+
+    Examples
+    --------
+    >>> distance_to_instability([[-1.0, 0.0], [0.0, -3.0]])
+    1.0
+    >>> distance_to_instability([[-1.0, 100.0], [0.0, -3.0]]) < 0.03
+    True
+    """
+    A = square("A", A)
+    discrete = is_discrete(dt)
+    if len(A) == 0:
+        return float("inf")
+    if judge(A, discrete, check_distance=False).verdict != ASYMPTOTICALLY_STABLE:
+        return 0.0
+    return boundary_distance(A, discrete)

@@ -1,0 +1,89 @@
+"""The smallest singular value of A - z I over the stability boundary."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy
+
+from statebook.stability.boundary import project
+
+# Level sets are taken this far below the best value, so that the sets are not empty by rounding.
+_BELOW = 1e-10
+# How far from the boundary, relative to the norm, an eigenvalue may lie and count as on it.
+# Too generous costs a few evaluations, too strict would miss a piece of the level set.
+_ON_BOUNDARY = 1e-6
+_MAX_ROUNDS = 50
+
+
+def boundary_distance(A: np.ndarray, discrete: bool, enough: float = 0.0) -> float:
+    """Smallest singular value of A - z I over the boundary, by level sets.
+
+    The level set ``sigma_min = r`` is found exactly, from the eigenvalues on the boundary of a
+    Hamiltonian matrix (continuous) or symplectic pencil (discrete) of twice the size. So a
+    local minimum cannot deceive the search: a level with no points is below the minimum.
+    The search ends early at a value of at most `enough`.
+    """
+    scale = float(np.linalg.norm(A, 2))
+    if discrete:
+        scale = max(scale, 1.0)
+    # Powers of two: the units of time (or of the map) cancel without rounding.
+    unit = 1.0 if discrete else float(np.exp2(np.round(np.log2(scale)))) if scale > 0 else 1.0
+    A = A / unit
+    points = np.unique(project(np.linalg.eigvals(A), discrete))
+    best, where = _lowest(A, points)
+    for _ in range(_MAX_ROUNDS):
+        # Invariant: best = sigma_min at the boundary point `where`; the level is just below it.
+        if unit * best <= enough:
+            return unit * best
+        crossings = _level_set(A, best * (1 - _BELOW), discrete)
+        if len(crossings) == 0:
+            break
+        value, point = _lowest(A, _midpoints(crossings, discrete))
+        if value >= best * (1 - _BELOW):
+            break
+        best, where = value, point
+    return unit * min(best, _polish(A, where, best, discrete))
+
+
+def _lowest(A: np.ndarray, points: np.ndarray) -> tuple[float, complex]:
+    shifted = A - points[:, None, None] * np.eye(len(A))
+    values = np.linalg.svd(shifted, compute_uv=False)[:, -1]
+    k = int(np.argmin(values))
+    return float(values[k]), complex(points[k])
+
+
+def _level_set(A: np.ndarray, level: float, discrete: bool) -> np.ndarray:
+    """Sorted positions (frequency or angle) at which level is a singular value."""
+    identity, zero = np.eye(len(A)), np.zeros(A.shape)
+    if discrete:
+        left = np.block([[A, -level * identity], [zero, identity]])
+        right = np.block([[identity, zero], [-level * identity, A.conj().T]])
+        z = scipy.linalg.eigvals(left, right)
+        z = z[np.isfinite(z)]
+        return np.sort(np.angle(z[np.abs(np.abs(z) - 1) <= _ON_BOUNDARY]))
+    s = scipy.linalg.eigvals(np.block([[A, -level * identity], [level * identity, -A.conj().T]]))
+    return np.sort(s.imag[np.abs(s.real) <= _ON_BOUNDARY * max(np.abs(s).max(), 1.0)])
+
+
+def _midpoints(positions: np.ndarray, discrete: bool) -> np.ndarray:
+    if discrete:
+        positions = np.append(positions, positions[0] + 2 * np.pi)
+        return np.exp(1j * (positions[1:] + positions[:-1]) / 2)
+    if len(positions) == 1:
+        return 1j * positions
+    return 1j * (positions[1:] + positions[:-1]) / 2
+
+
+def _polish(A: np.ndarray, where: complex, best: float, discrete: bool) -> float:
+    """Descend to the bottom of the valley that the level sets have found."""
+    start = np.angle(where) if discrete else where.imag
+
+    def value(position: float) -> float:
+        point = np.exp(1j * position) if discrete else 1j * position
+        return _lowest(A, np.array([point]))[0]
+
+    width = max(best, np.sqrt(_BELOW))
+    found = scipy.optimize.minimize_scalar(
+        value, bounds=(start - width, start + width), method="bounded", options={"xatol": 1e-9}
+    )
+    return float(found.fun)

@@ -1,0 +1,71 @@
+"""Eigenvalues over grids of parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from statebook import _validate
+
+
+def eigenvalue_map(function: Callable[..., Any], *grids: Any) -> np.ndarray:
+    """Eigenvalues of a matrix that depends on parameters.
+
+    Parameters
+    ----------
+    function : callable
+        function(*parameters), called once with one array per grid, all of the shape of the
+        whole grid; it returns matrices of shape (\\*grid shape, n, n).
+    *grids : array, shape (N,)
+        Values of each parameter, one after another in the result's axes ("ij" order).
+
+    Returns
+    -------
+    array, shape (\\*grid shape, n), complex
+        Eigenvalues in the order of `sort_eigenvalues`: decreasing real part, then decreasing
+        imaginary part.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a grid is not a vector, or the function's result has the wrong shape or is not finite.
+
+    Examples
+    --------
+    >>> def oscillator(k, c):
+    ...     A = np.zeros((*k.shape, 2, 2))
+    ...     A[..., 0, 1], A[..., 1, 0], A[..., 1, 1] = 1, -k, -c
+    ...     return A
+    >>> eigenvalue_map(oscillator, [1.0, 4.0], [0.0]).imag.tolist()
+    [[[1.0, -1.0]], [[2.0, -2.0]]]
+    """
+    if not grids:
+        raise ValueError("grids: at least one vector of parameter values is required, got none")
+    vectors = [_validate.array(f"grid {k}", grid, (None,)) for k, grid in enumerate(grids)]
+    parameters = np.meshgrid(*vectors, indexing="ij")
+    shape = parameters[0].shape
+    matrices = _validate.array("function's result", function(*parameters))
+    if matrices.shape[:-2] != shape or matrices.shape[-1] != matrices.shape[-2]:
+        raise ValueError(
+            f"function must return matrices of shape {(*shape, 'n', 'n')}, got {matrices.shape};"
+            " fill A[..., i, j] of an array np.zeros((*parameter.shape, n, n))".replace("'n'", "n")
+        )
+    return sort_eigenvalues(np.linalg.eigvals(matrices))
+
+
+def sort_eigenvalues(eigenvalues: np.ndarray) -> np.ndarray:
+    """Sort along the last axis by decreasing real part, then imaginary part.
+
+    Real parts that agree to 1e-9 of the largest eigenvalue count as equal, so that rounding
+    does not shuffle conjugate pairs.
+    """
+    return np.take_along_axis(eigenvalues, sorting(eigenvalues), axis=-1).astype(complex)
+
+
+def sorting(eigenvalues: np.ndarray) -> np.ndarray:
+    """Indices that sort eigenvalues along the last axis."""
+    scale = np.abs(eigenvalues).max(axis=-1, keepdims=True, initial=0.0)
+    real = np.round(eigenvalues.real / np.where(scale > 0, scale, 1.0), 9)
+    return np.lexsort((-eigenvalues.imag, -real), axis=-1)

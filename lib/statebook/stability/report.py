@@ -1,0 +1,144 @@
+"""What a stability analysis returns: the verdict, its evidence and the modes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+# The table of a large system shows its slowest modes only.
+_ROWS = 12
+
+
+@dataclass(frozen=True, eq=False)
+class Mode:
+    """One natural motion of a linear system.
+
+    Attributes
+    ----------
+    eigenvalue : complex
+        Of the matrix [1/s]; in discrete time of the map, per step.
+    damping : float
+        Damping ratio ``-Re(s) / abs(s)``; 0 for s = 0. In discrete time s = log(z) / dt.
+    frequency : float [rad/s]
+        Natural frequency abs(s).
+    time_constant : float [s]
+        ``1 / abs(Re s)``, in which the mode decays or grows by e; inf on the boundary.
+    participation : array, shape (n,)
+        Share of each state in the mode, at least 0, of sum 1; it does not depend on units.
+    """
+
+    eigenvalue: complex
+    damping: float
+    frequency: float
+    time_constant: float
+    participation: np.ndarray
+
+    def __repr__(self) -> str:
+        return (
+            f"Mode(eigenvalue={format_complex(self.eigenvalue, abs(self.eigenvalue))},"
+            f" damping={format_real(self.damping)}, frequency={format_real(self.frequency)},"
+            f" time_constant={format_real(self.time_constant)})"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class StabilityReport:
+    """A stability verdict with its evidence.
+
+    Attributes
+    ----------
+    verdict : str
+        "asymptotically stable", "marginally stable", "unstable" or "inconclusive".
+    eigenvalues : array, shape (n,), complex
+        By decreasing real part, then imaginary part. Those judged to lie on the boundary are
+        put on it, and those that rounding blurs across it at their mean.
+    spectral_margin : float
+        ``-max Re`` in continuous time [1/s], ``1 - max abs`` in discrete time: positive if all
+        eigenvalues are inside, 0 on the boundary, negative beyond; inf if there are none.
+    reason : str
+        What was judged, and why.
+    modes : tuple of Mode
+        One for each eigenvalue, in the same order.
+    dt : float, bool or None
+        Timebase: None or 0 is continuous, True or > 0 [s] discrete.
+    states : tuple of str
+        Labels of the states.
+    """
+
+    verdict: str
+    eigenvalues: np.ndarray
+    spectral_margin: float
+    reason: str
+    modes: tuple[Mode, ...]
+    dt: float | bool | None
+    states: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        lines = [
+            f"{self.verdict} (spectral margin {format_real(self.spectral_margin)})",
+            self.reason,
+        ]
+        if self.modes:
+            unit = "sample" if self.dt is True else "s"
+            rows = [
+                ("eigenvalue", "damping", f"freq. [rad/{unit}]", f"time const. [{unit}]", "states")
+            ]
+            scale = float(np.abs(self.eigenvalues).max())
+            rows += [
+                (
+                    format_complex(mode.eigenvalue, scale),
+                    format_real(mode.damping),
+                    format_real(mode.frequency, scale if self.dt in (None, 0) else 1.0),
+                    format_real(mode.time_constant),
+                    self._main_states(mode),
+                )
+                for mode in self.modes[:_ROWS]
+            ]
+            widths = [max(len(row[k]) for row in rows) for k in range(5)]
+            lines += [
+                "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip()
+                for row in rows
+            ]
+        if len(self.modes) > _ROWS:
+            lines.append(f"... and {len(self.modes) - _ROWS} more")
+        return "\n".join(lines)
+
+    def _main_states(self, mode: Mode) -> str:
+        """Labels of the states whose share is at least half the largest."""
+        share = mode.participation
+        return ", ".join(np.array(self.states)[share >= 0.5 * share.max() - 1e-6])
+
+
+def format_real(value: float, scale: float = 0.0) -> str:
+    """Four digits; what is rounding against scale is 0, never -0."""
+    return "0" if abs(value) <= 1e-9 * scale or value == 0 else f"{value:.4g}"
+
+
+def format_complex(value: complex, scale: float) -> str:
+    real, imag = format_real(value.real, scale), format_real(value.imag, scale)
+    if imag == "0":
+        return real
+    sign = "-" if imag.startswith("-") else "+"
+    return f"{real} {sign} {imag.lstrip('-')}j" if real != "0" else f"{imag}j"
+
+
+def modes_of(
+    eigenvalues: np.ndarray, participations: np.ndarray, discrete: bool, dt: float | bool | None
+) -> tuple[Mode, ...]:
+    """Modes from eigenvalues and the participation of states (rows) in them (columns)."""
+    step = float(dt) if discrete and dt is not None else 1.0
+    modes = []
+    for value, share in zip(eigenvalues, participations.T, strict=True):
+        if discrete:
+            # log(0) is the mode that is over after one step: infinitely fast.
+            s = complex(np.log(value)) / step if value != 0 else complex(-np.inf)
+            if abs(abs(value) - 1) <= 4 * np.finfo(float).eps:
+                s = complex(0, s.imag)
+        else:
+            s = complex(value)
+        size, rate = abs(s), abs(s.real)
+        damping = 1.0 if np.isinf(size) else 0.0 if size == 0 else -s.real / size
+        time_constant = float("inf") if rate == 0 else 1 / rate
+        modes.append(Mode(complex(value), damping + 0.0, size, time_constant, share))
+    return tuple(modes)

@@ -1,0 +1,144 @@
+"""How much of each limit a motion uses, over all time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from statebook.timescale import bernstein
+from statebook.timescale.limits import Limit, SpeedLimit, TorqueLimit, VelocityLimit
+from statebook.timescale.profile import Profile
+
+_DENSE = 17  # points per interval at which torques are looked at
+
+
+@dataclass(frozen=True)
+class Use:
+    """The largest use of one limit.
+
+    Attributes
+    ----------
+    limit : str
+        "velocity", "acceleration", "speed" or "torque".
+    row : int
+        Joint, or row of the torques.
+    use : float
+        The quantity over its bound at the worst instant: at most 1 if the limit holds. Of a
+        torque range that does not enclose 0: 1 plus the excess over the larger bound.
+    time, s : float
+        When and where.
+    exact : bool
+        True if it is the maximum over all time to rounding; False for torques, which are looked
+        at on 17 points of each interval.
+    """
+
+    limit: str
+    row: int
+    use: float
+    time: float
+    s: float
+    exact: bool
+
+
+@dataclass(frozen=True)
+class Audit:
+    """The largest use of every limit over a whole motion.
+
+    Attributes
+    ----------
+    uses : tuple of Use
+        One per limit and joint.
+    """
+
+    uses: tuple[Use, ...]
+
+    @property
+    def worst(self) -> Use:
+        """The limit that is used most."""
+        return max(self.uses, key=lambda use: use.use)
+
+    def __iter__(self):
+        return iter(self.uses)
+
+    def __len__(self) -> int:
+        return len(self.uses)
+
+    def __repr__(self) -> str:
+        lines = ["limit         row    use       time         s"]
+        for u in self.uses:
+            lines.append(
+                f"{u.limit:<12}{u.row:>5}{u.use + 0.0:>7.4f}{u.time + 0.0:>11.4g}{u.s + 0.0:>10.4g}"
+            )
+        return "\n".join(lines)
+
+
+def audit(profile: Profile, limits: Sequence[Limit]) -> Audit:
+    """Find the largest use of every limit.
+
+    Velocities and accelerations are polynomials of s in each interval; their maxima are enclosed
+    to rounding by their Bernstein coefficients, which bound them. Torques are not polynomials:
+    they are looked at on dense points.
+    """
+    uses: list[Use] = []
+    for limit in limits:
+        use, interval, z = _sampled(profile, limit) if limit.kind == "torque" else _exact(
+            profile, limit
+        )
+        for row in range(len(use)):
+            i = int(interval[row])
+            uses.append(
+                Use(
+                    limit=limit.kind,
+                    row=row,
+                    use=float(use[row]),
+                    time=profile.time_at(i, float(z[row])),
+                    s=float(profile.grid.s[i] + z[row] * profile.grid.h[i]),
+                    exact=limit.kind != "torque",
+                )
+            )
+    return Audit(tuple(uses))
+
+
+def _exact(profile: Profile, limit: Limit) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the largest use of each row, its interval and the fraction of it."""
+    degree = limit.degree(profile.grid)
+    z = bernstein.nodes(degree)
+    to_bernstein = bernstein.from_values(degree)
+    values = limit.values(profile.grid, z, profile.u(z), profile.x(z))
+    coefficients = bernstein.along(to_bernstein, values)
+    if isinstance(limit, VelocityLimit):
+        slope = bernstein.along(to_bernstein, profile.grid.path(z, 1))
+        sides = [(limit.upper**2, slope), (limit.lower**2, -slope)]
+        if np.array_equal(*(bound for bound, _ in sides)):
+            sides = [(limit.upper**2, None)]
+    elif isinstance(limit, SpeedLimit):
+        sides = [(limit.upper**2, None)]
+    else:
+        sides = [(limit.upper, None), (limit.lower, None)]
+    found = [bernstein.maxima(coefficients / bound, sign) for bound, sign in sides]
+    use, interval, place = (np.stack(values) for values in zip(*found, strict=True))
+    side = use.argmax(axis=0)
+    rows = np.arange(use.shape[1])
+    use = np.maximum(use[side, rows], 0.0)
+    return (np.sqrt(use) if limit.squared else use), interval[side, rows], place[side, rows]
+
+
+def _sampled(profile: Profile, limit: Limit) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the same on dense points of each interval."""
+    z = np.linspace(0, 1, _DENSE)
+    use = limit.use(profile.grid, z, profile.u(z), profile.x(z))
+    flat = use.reshape(-1, use.shape[2])
+    place, interval = np.divmod(flat.argmax(axis=0), use.shape[1])
+    return flat.max(axis=0), interval, z[place]
+
+
+def static_torques_hold(profile: Profile, limits: Sequence[Limit]) -> bool:
+    """Whether the load of the robot at rest is within the torque limits all along the path."""
+    z = np.linspace(0, 1, _DENSE)
+    rest = np.zeros((_DENSE, len(profile.x0)))
+    torques = [limit for limit in limits if isinstance(limit, TorqueLimit)]
+    return all(
+        float(limit.use(profile.grid, z, rest, rest).max()) <= 1.0 for limit in torques
+    )

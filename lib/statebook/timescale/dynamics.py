@@ -1,0 +1,111 @@
+"""A caller's inverse dynamics: its shape found out, its form checked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from statebook.timescale.limits import TorqueLimit, bounds
+from statebook.timescale.path import Path
+
+_SAMPLES = 5
+_FORM = 1e-7  # part of the motion's torques by which the form may be missed
+
+
+def torque_limit(path: Path, torque: Any, inverse_dynamics: Any) -> TorqueLimit:
+    """Check an inverse dynamics along a path and make a limit of it.
+
+    Parameters
+    ----------
+    path : Path
+    torque : number or array, shape (rows,) or (rows, 2)
+        Bounds; an infinite one is none, and they need not enclose 0.
+    inverse_dynamics : callable
+        (q, qd, qdd) -> (rows,), and (rows, N) for a batch if it can.
+
+    Raises
+    ------
+    TypeError, ValueError
+        It is no function of this kind: not affine in qdd, not quadratic in qd, not finite.
+    """
+    if not callable(inverse_dynamics):
+        raise TypeError(
+            "inverse_dynamics must be a function (q, qd, qdd) -> torques where torque is given, "
+            f"got {inverse_dynamics!r}"
+        )
+    s = np.linspace(path.s_start, path.s_end, 2 * _SAMPLES + 1)[1::2]
+    q, slope = path(s), path(s, 1)
+    rows = _rows(inverse_dynamics, q[:, 0])
+    dynamics = _vectorized(inverse_dynamics, q, slope, rows)
+    lower, upper = bounds("torque", torque, rows)
+    _check_form(dynamics, q, slope)
+    return TorqueLimit("torque", lower, upper, dynamics)
+
+
+def _rows(function: Callable, q: np.ndarray) -> int:
+    """Return the number of rows of the function's values."""
+    value = np.asarray(function(q, np.zeros_like(q), np.zeros_like(q)))
+    if value.ndim != 1 or value.dtype.kind not in "iuf":
+        raise ValueError(
+            "inverse_dynamics must return a real vector (rows,) for q, qd, qdd of shape (dof,); "
+            f"got shape {value.shape} of {value.dtype}"
+        )
+    return len(value)
+
+
+def _vectorized(function: Callable, q: np.ndarray, slope: np.ndarray, rows: int) -> Callable:
+    """Return the function for batches: itself if its batches agree with its single values."""
+
+    def one_by_one(q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+        return np.array(
+            [function(q[:, i], qd[:, i], qdd[:, i]) for i in range(q.shape[1])], dtype=float
+        ).T.reshape(rows, q.shape[1])
+
+    def finite(values: np.ndarray, q: np.ndarray) -> np.ndarray:
+        bad = ~np.isfinite(values).all(axis=0)
+        if bad.any():
+            at = q[:, np.flatnonzero(bad)[0]]
+            raise ValueError(f"inverse_dynamics must return finite torques; it does not at q = {at}")
+        return values
+
+    expected = one_by_one(q, slope, slope[::-1])
+    try:
+        batch = np.asarray(function(q, slope, slope[::-1]), dtype=float)
+        agrees = batch.shape == expected.shape and np.allclose(batch, expected, rtol=1e-9)
+    except Exception:  # it was not written for batches, in whatever way that shows
+        agrees = False
+    if agrees:
+        return lambda q, qd, qdd: finite(np.asarray(function(q, qd, qdd), dtype=float), q)
+    return lambda q, qd, qdd: finite(one_by_one(q, qd, qdd), q)
+
+
+def _check_form(dynamics: Callable, q: np.ndarray, slope: np.ndarray) -> None:
+    """Refuse what is not affine in qdd or not purely quadratic in qd.
+
+    A term linear in qd dominates at low speed, one of higher order at high speed: both are tried.
+    """
+    size = np.abs(q).max() + np.abs(slope).max()
+    still = np.zeros_like(q)
+    static = dynamics(q, still, still)
+    rounding = 1e-12 * np.abs(static).max() + 1e-300
+    direction = slope / max(np.abs(slope).max(), 1e-300) + 0.1 * np.cos(np.arange(q.size)).reshape(
+        q.shape
+    )
+    for scale in size * np.array([1e-3, 1.0, 1e3]):
+        v = scale * direction
+        forward, backward = dynamics(q, v, still) - static, dynamics(q, -v, still) - static
+        double = dynamics(q, 2 * v, still) - static
+        tolerance = _FORM * np.abs(forward).max() + rounding
+        if max(np.abs(forward - backward).max(), np.abs(double - 4 * forward).max()) > tolerance:
+            raise ValueError(
+                "inverse_dynamics must be quadratic in qd: friction proportional to velocity, or "
+                "to its sign, cannot be time-scaled this way; leave it out and lower the limits "
+                "by its size"
+            )
+        once, both = dynamics(q, still, v) - static, dynamics(q, v, v) - static
+        twice = dynamics(q, still, 2 * v) - static
+        tolerance = _FORM * (np.abs(once).max() + np.abs(forward).max()) + rounding
+        if max(np.abs(twice - 2 * once).max(), np.abs(both - once - forward).max()) > tolerance:
+            raise ValueError("inverse_dynamics must be affine in qdd, with a matrix free of qd")

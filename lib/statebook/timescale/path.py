@@ -1,0 +1,209 @@
+"""Geometric paths p(s): piecewise polynomials in the path parameter s."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import scipy
+
+from statebook import _validate
+
+_KINDS = ("cubic", "linear")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Path:
+    """A curve through the space of joint positions.
+
+    Parameters
+    ----------
+    curve : scipy.interpolate.PPoly
+        Positions as a function of the path parameter s; its coefficients have shape
+        (k, pieces, dof). Splines of SciPy are such curves. It must be continuous; where its
+        derivative jumps the motion will stop.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If it is not such a curve, or it jumps.
+
+    Examples
+    --------
+    >>> path = Path.through([[0.0, 1.0, 1.0], [0.0, 0.0, 2.0]])
+    >>> path
+    Path(dof=2, 2 pieces, s from 0 to 1)
+    >>> path(0.5)
+    array([1., 0.])
+    """
+
+    curve: Any
+    _end: np.ndarray | None = field(default=None, kw_only=True)
+
+    def __post_init__(self) -> None:
+        curve = self.curve
+        if not isinstance(curve, scipy.interpolate.PPoly):
+            raise TypeError(
+                "curve must be a scipy.interpolate.PPoly, for instance a CubicSpline; got "
+                f"{type(curve).__name__}. For waypoints use Path.through"
+            )
+        if curve.c.ndim != 3 or curve.c.shape[2] == 0:
+            raise ValueError(
+                "curve must have coefficients of shape (k, pieces, dof), got "
+                f"{curve.c.shape}; one joint needs values of shape (N, 1)"
+            )
+        coefficients = _validate.real_array("the curve's coefficients", curve.c)
+        knots = _validate.real_array("the curve's knots", curve.x)
+        if np.any(np.diff(knots) <= 0):
+            raise ValueError("the curve's knots must increase")
+        size = np.abs(coefficients[-1]).max(axis=0)
+        ends = self._horner(np.arange(len(knots) - 1), np.diff(knots), 0)
+        jump = np.abs(ends[:, :-1] - coefficients[-1, 1:].T).T
+        bad = np.flatnonzero((jump > 1e-9 * size + 1e-300).any(axis=1))
+        if len(bad):
+            raise ValueError(
+                f"the curve must be continuous: at s = {knots[bad[0] + 1]:g} it jumps by "
+                f"{jump[bad[0]].max():.3g}"
+            )
+
+    @classmethod
+    def through(
+        cls,
+        waypoints: Any,
+        *,
+        kind: str = "cubic",
+        bc_type: Any = "not-a-knot",
+        s: Any = None,
+    ) -> Path:
+        """Return the path through waypoints.
+
+        Parameters
+        ----------
+        waypoints : array, shape (dof, N), N >= 2
+            Positions; consecutive ones may be equal. A straight piece between equal waypoints
+            takes no time. A cubic spline leaves and returns to a point that it visits twice.
+        kind : str
+            "cubic": a spline with two continuous derivatives. "linear": straight pieces, with
+            a stop at each waypoint where p'(s) jumps.
+        bc_type : str or 2-tuple
+            End conditions of the spline, as in ``scipy.interpolate.CubicSpline``.
+        s : array, shape (N,), increasing, optional
+            Path parameter at the waypoints; uniform on [0, 1] by default.
+
+        Returns
+        -------
+        Path
+
+        Raises
+        ------
+        TypeError, ValueError
+            Fewer than two waypoints, or an argument of the wrong shape or value.
+
+        Examples
+        --------
+        >>> Path.through([[0.0, 3.0]], s=[0.0, 2.0])(1.0)
+        array([1.5])
+        """
+        points = _validate.real_array("waypoints", waypoints)
+        if points.ndim != 2 or points.shape[0] == 0 or points.shape[1] < 2:
+            raise ValueError(
+                "waypoints must have shape (dof, N) with at least two waypoints, one in each "
+                f"column; got {points.shape}"
+            )
+        _validate.choice("kind", kind, _KINDS)
+        count = points.shape[1]
+        knots = np.linspace(0, 1, count) if s is None else _validate.real_array("s", s, (count,))
+        if np.any(np.diff(knots) <= 0):
+            raise ValueError(f"s must increase from waypoint to waypoint, got {knots}")
+        if kind == "linear":
+            slopes = (np.diff(points) / np.diff(knots)).T
+            curve = scipy.interpolate.PPoly(np.stack([slopes, points[:, :-1].T]), knots)
+        else:
+            curve = scipy.interpolate.CubicSpline(knots, points, axis=1, bc_type=bc_type)
+            curve = scipy.interpolate.PPoly(np.moveaxis(curve.c, -1, 2).copy(), knots)
+        return cls(curve, _end=points[:, -1].copy())
+
+    def __repr__(self) -> str:
+        pieces = len(self.curve.x) - 1
+        ends = f"s from {self.s_start:g} to {self.s_end:g}"
+        return f"Path(dof={self.dof}, {pieces} piece{'s' if pieces > 1 else ''}, {ends})"
+
+    @property
+    def dof(self) -> int:
+        """Number of joints."""
+        return int(self.curve.c.shape[2])
+
+    @property
+    def s_start(self) -> float:
+        """First value of the path parameter."""
+        return float(self.curve.x[0])
+
+    @property
+    def s_end(self) -> float:
+        """Last value of the path parameter."""
+        return float(self.curve.x[-1])
+
+    def __call__(self, s: Any, derivative: int = 0) -> np.ndarray:
+        """Return the position, or a derivative of it with respect to s.
+
+        Parameters
+        ----------
+        s : float or array, shape (N,)
+            Between s_start and s_end.
+        derivative : int >= 0
+            At a knot where the derivative jumps: the one to the right.
+
+        Returns
+        -------
+        array, shape (dof,) or (dof, N)
+
+        Raises
+        ------
+        TypeError, ValueError
+            s is not one or more numbers on the path.
+        """
+        s = _validate.real_array("s", s)
+        _validate.integer("derivative", derivative)
+        if s.ndim > 1 or np.any((s < self.s_start) | (s > self.s_end)):
+            raise ValueError(
+                f"s must be a number or a vector within [{self.s_start:g}, {self.s_end:g}], got {s}"
+            )
+        knots = self.curve.x
+        piece = np.clip(np.searchsorted(knots, s, side="right") - 1, 0, len(knots) - 2)
+        value = self._horner(np.atleast_1d(piece), np.atleast_1d(s - knots[piece]), derivative)
+        if derivative == 0 and self._end is not None:
+            value[:, np.atleast_1d(s) == self.s_end] = self._end[:, None]
+        return value if s.ndim else value[:, 0]
+
+    def _horner(self, piece: np.ndarray, offset: np.ndarray, derivative: int) -> np.ndarray:
+        """Return the derivative at offsets from the left knots of pieces, (dof, N)."""
+        return horner(self.curve.c, piece, offset, derivative).T
+
+
+def horner(
+    coefficients: np.ndarray, piece: np.ndarray, offset: np.ndarray, derivative: int
+) -> np.ndarray:
+    """Evaluate a derivative of a piecewise polynomial.
+
+    Parameters
+    ----------
+    coefficients : array, shape (k, pieces, dof)
+        As in ``scipy.interpolate.PPoly``.
+    piece, offset : array, shape (N,) and (..., N)
+        The piece, and the distance from its left knot.
+    derivative : int >= 0
+
+    Returns
+    -------
+    array, shape (..., N, dof)
+    """
+    order = len(coefficients)
+    value = np.zeros((*offset.shape, coefficients.shape[2]))
+    for i, c in enumerate(coefficients[: max(order - derivative, 0)]):
+        power = order - 1 - i
+        if i:
+            value *= offset[..., None]
+        value += (math.perm(power, derivative) * c)[piece]
+    return value

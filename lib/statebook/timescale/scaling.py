@@ -1,0 +1,245 @@
+"""The time scaling itself: solve, look where time is lost, refine there, solve again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from statebook import _validate
+from statebook.errors import InfeasiblePathError
+from statebook.timescale.audit import audit
+from statebook.timescale.dynamics import torque_limit
+from statebook.timescale.explain import explain
+from statebook.timescale.grid import Grid, lay_grid
+from statebook.timescale.limits import Limit, TorqueLimit, kinematic_limits
+from statebook.timescale.path import Path
+from statebook.timescale.profile import Profile
+from statebook.timescale.stages import MARGIN, StuckError, fastest_profile, stage_rows
+from statebook.timescale.timed_path import TimedPath
+
+_COARSE = 48  # intervals of the first grid
+_PASSES = 8
+_INTERVALS = 20000  # no grid is refined beyond this
+_CONVERGENCE = 3.0  # a refinement divides the gap to the optimum by at least 1 + this
+_LOOK = np.array([0.02, 0.25, 0.5, 0.75, 0.98])  # where in an interval slack is looked for
+
+
+def time_scale(
+    path: Path,
+    velocity: Any = None,
+    acceleration: Any = None,
+    *,
+    speed: float | None = None,
+    torque: Any = None,
+    inverse_dynamics: Any = None,
+    start_speed: float = 0.0,
+    end_speed: float = 0.0,
+    tolerance: float = 1e-3,
+) -> TimedPath:
+    """Time a path as fast as limits allow, inside them always.
+
+    On q(t) = p(s(t)): q' = p' s', q'' = p' s'' + p'' s'^2, tau = a(s) s'' + b(s) s'^2 + c(s).
+    In each interval of a grid s'^2 is a quadratic in s; limits hold between gridpoints too, by
+    construction, and the result is audited before it is returned.
+
+    Parameters
+    ----------
+    path : Path
+        Where p' jumps the motion stops (`TimedPath.stops`); pieces along which nothing moves are
+        skipped (`TimedPath.skipped`); a path of no length takes no time.
+    velocity, acceleration : float > 0 or array, shape (dof,) or (dof, 2), optional
+        Bounds on each joint, one number for plus and minus or pairs (lower, upper) around 0;
+        infinity stands for no bound.
+    speed : float > 0, optional
+        Bound on the Euclidean norm of the velocity.
+    torque : float > 0 or array, shape (rows,) or (rows, 2), optional
+        Bounds on the rows of the inverse dynamics.
+    inverse_dynamics : callable, optional
+        (q, qd, qdd) -> (rows,) or (rows, N): any number of rows, affine in qdd, quadratic in qd.
+    start_speed, end_speed : float >= 0
+        ds/dt at the ends. Where p' = 0 at an end the robot is at rest whatever s' is: there the
+        default 0 leaves s' free.
+    tolerance : float > 0
+        Part of the duration by which the optimum may be missed, as estimated by refinement.
+
+    Returns
+    -------
+    TimedPath
+
+    Raises
+    ------
+    InfeasiblePathError
+        No motion along the path satisfies the limits; it names the limit and the place.
+    TypeError, ValueError
+        An argument is wrong, or nothing bounds the acceleration.
+
+    References
+    ----------
+    K. M. Lynch, F. C. Park, Modern Robotics, section 9.4.
+
+    Examples
+    --------
+    >>> from statebook import Path, time_scale
+    >>> path = Path.through([[0.0, 1.0], [0.0, 0.5]])
+    >>> timed = time_scale(path, velocity=1.0, acceleration=2.0)
+    >>> round(timed.duration, 6), round(timed.audit().worst.use, 6)
+    (1.5, 1.0)
+    """
+    if not isinstance(path, Path):
+        raise TypeError(f"path must be a Path; make one with Path.through, got {path!r}")
+    limits = kinematic_limits(velocity, acceleration, speed, path.dof)
+    if (torque is None) != (inverse_dynamics is None):
+        raise ValueError("torque and inverse_dynamics must be given together")
+    start_speed = _validate.non_negative("start_speed", start_speed)
+    end_speed = _validate.non_negative("end_speed", end_speed)
+    tolerance = _validate.positive("tolerance", tolerance)
+    if torque is not None:
+        limits.append(torque_limit(path, torque, inverse_dynamics))
+    if not any(limit.kind in ("acceleration", "torque") for limit in limits):
+        raise ValueError(
+            "give an acceleration or a torque limit: without one nothing bounds the acceleration, "
+            "and the fastest motion starts with a jump"
+        )
+    grid, stops, skipped = lay_grid(path, start_speed, end_speed, _COARSE)
+    if not grid.sections:
+        empty = Profile(grid, *(np.zeros(0),) * 3, np.zeros((2, 0, 2)))
+        return TimedPath(path, stops, skipped, 0.0, empty, tuple(limits))
+    profile, gap = _refined(limits, grid, tolerance)
+    profile = _within_limits(limits, profile)
+    return TimedPath(path, stops, skipped, gap, profile, tuple(limits))
+
+
+def _refined(limits: Sequence[Limit], grid: Grid, tolerance: float) -> tuple[Profile, float]:
+    """Solve and refine until the gap to the optimum is below the tolerance, by estimate."""
+    scale = _first_scale(limits, grid)
+    profile = _solved(limits, grid, np.zeros(len(scale)), scale)
+    gap = np.inf
+    for _ in range(_PASSES):
+        grid, curvature, scale = _refine(limits, profile, tolerance)
+        before, profile = profile.duration, _solved(limits, grid, curvature, scale)
+        gap = abs(before - profile.duration) / profile.duration / _CONVERGENCE
+        if gap <= tolerance or len(scale) > _INTERVALS:
+            break
+    return profile, float(gap)
+
+
+def _solved(
+    limits: Sequence[Limit], grid: Grid, curvature: np.ndarray, scale: np.ndarray
+) -> Profile:
+    """Solve the stages, once more with a better scale where the first was far off."""
+    for _ in range(4):
+        try:
+            profile, _ = fastest_profile(limits, grid, curvature, scale)
+        except StuckError as stuck:
+            error = explain(stage_rows(limits, grid, curvature, scale), grid, stuck)
+            raise error from None
+        reach = profile.controllable[1, :, 0]
+        if np.all((reach < 1e3 * scale) & (reach > 1e-3 * scale)):
+            break
+        scale = reach
+    return profile
+
+
+def _first_scale(limits: Sequence[Limit], grid: Grid) -> np.ndarray:
+    """Guess the size of s'^2 in each interval, from velocities and the way left to brake."""
+    middle = np.array([0.25, 0.75])
+    count = len(grid.h)
+    rise, cap = np.full(count, np.inf), np.full(count, np.inf)
+    with np.errstate(divide="ignore"):
+        for limit in limits:
+            a, b, _ = limit.terms(grid, middle, np.ones(count))
+            if limit.squared:
+                cap = np.minimum(cap, (limit.scale**2 / np.abs(b)).min(axis=(0, 2)))
+            elif a is not None:
+                rise = np.minimum(rise, (limit.scale / np.abs(a)).min(axis=(0, 2)))
+    bad = np.flatnonzero(~np.isfinite(rise))
+    if len(bad):
+        raise ValueError(
+            "the limits leave the acceleration along the path unbounded at s = "
+            f"{grid.s[bad[0]]:g}: bound the acceleration or torque of a joint that moves there"
+        )
+    scale = np.empty(count)
+    for part in grid.sections:
+        inside = slice(part.first, part.last)
+        way = np.cumsum((2 * grid.h * rise)[inside][::-1])[::-1]
+        scale[inside] = np.minimum(way, cap[inside])
+    return scale
+
+
+def _refine(
+    limits: Sequence[Limit], profile: Profile, tolerance: float
+) -> tuple[Grid, np.ndarray, np.ndarray]:
+    """Split the intervals where time is lost, and bend the profile as its neighbours suggest.
+
+    On the fastest motion some limit is reached at every instant: time is lost where none is.
+    """
+    x, u = profile.x(_LOOK), profile.u(_LOOK)
+    use = np.max([limit.use(profile.grid, _LOOK, u, x).max(axis=2) for limit in limits], axis=0)
+    lost = np.diff(profile.times) * np.clip(1 - use, 0, 1).mean(axis=0)
+    allowed = tolerance * profile.duration / len(lost)
+    parts = np.clip(np.ceil(np.sqrt(lost / allowed)), 1, 4).astype(int)
+    grid, parent, left, right = profile.grid.split(parts)
+    bulge = profile.bulge[parent]
+
+    def inside(z: np.ndarray) -> np.ndarray:
+        chord = profile.x0[parent] * (1 - z) + profile.x1[parent] * z
+        return chord - bulge * z * (1 - z)
+
+    mean = np.maximum((inside(left) + inside(right)) / 2, 1e-300)
+    bend = _slopes(profile)[parent] * grid.h**2
+    scale = profile.controllable[1, parent, 0]
+    return grid, np.clip(bend / mean, -1.0, 1.0), scale
+
+
+def _slopes(profile: Profile) -> np.ndarray:
+    """Estimate ds''/ds in each interval by the smaller of the differences to its neighbours.
+
+    Zero where they disagree in sign: s'' jumps there from one limit to another.
+    """
+    grid = profile.grid
+    middle = grid.s + grid.h / 2
+    u = (profile.x1 - profile.x0) / (2 * grid.h)
+    if len(u) == 1:
+        return np.zeros(1)
+    slope = np.diff(u) / np.diff(middle)
+    before, after = np.append(slope[:1], slope), np.append(slope, slope[-1:])
+    for part in grid.sections:
+        if part.last - part.first == 1:
+            before[part.first] = after[part.first] = 0.0
+        else:
+            before[part.first] = after[part.first]
+            after[part.last - 1] = before[part.last - 1]
+    smaller = np.where(np.abs(before) < np.abs(after), before, after)
+    return np.where(before * after > 0, smaller, 0.0)
+
+
+def _within_limits(limits: Sequence[Limit], profile: Profile) -> Profile:
+    """Audit the profile; slow it down by the rounding that is left, split it for torques."""
+    torques = [limit for limit in limits if isinstance(limit, TorqueLimit)]
+    if not torques:
+        factor = max(
+            use.use if use.limit != "acceleration" else np.sqrt(use.use)
+            for use in audit(profile, limits)
+        )
+        return profile.slower(factor * (1 + 1e-15)) if factor > 1 else profile
+    for _ in range(_PASSES):
+        if audit(profile, limits).worst.use <= 1 + MARGIN:
+            return profile
+        z = np.linspace(0, 1, 17)
+        use = np.max(
+            [t.use(profile.grid, z, profile.u(z), profile.x(z)).max(axis=(0, 2)) for t in torques],
+            axis=0,
+        )
+        grid, parent, _, _ = profile.grid.split(np.where(use > 1, 2, 1))
+        scale = profile.controllable[1, parent, 0]
+        curvature = profile.curvature[parent] * (grid.h / profile.grid.h[parent]) ** 2
+        profile = _solved(limits, grid, curvature, scale)
+    worst = audit(profile, limits).worst
+    raise InfeasiblePathError(
+        f"the {worst.limit} of row {worst.row} could not be kept within its limit at s = "
+        f"{worst.s:.6g}: it jumps there, or changes too fast",
+        constraint=f"{worst.limit} of row {worst.row}",
+        s=worst.s,
+    )

@@ -1,0 +1,236 @@
+"""The fastest profile on a grid: one small linear program per interval, solved by TOPP-RA.
+
+In an interval the unknowns are x = s'^2 at its left end and w, its increase to the right end,
+both divided by a scale. Values of a limit along the interval are polynomials whose Bernstein
+coefficients are affine in (w, x); as the polynomial lies between them, the inequalities for the
+coefficients make the limit hold everywhere, not at the gridpoints alone.
+
+References
+----------
+H. Pham, Q.-C. Pham, A New Approach to Time-Optimal Path Parameterization Based on Reachability
+Analysis, IEEE Transactions on Robotics 34 (2018).
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from statebook.timescale import bernstein
+from statebook.timescale.grid import Grid, Section
+from statebook.timescale.limits import Limit
+from statebook.timescale.profile import Profile
+
+MARGIN = 1e-9  # of every limit, left to rounding
+_BLOCK = 24  # rows handed over at a time: toppra multiplies each block by a square matrix
+_FREE = 1e6  # bound on s'^2, in units of the scale, where nothing else binds it
+_NAN = float("nan")
+_FASTEST_LEFT = np.array([1e-9, -1.0])
+_SLOWEST_LEFT = np.array([-1e-9, 1.0])
+_FASTEST_RIGHT = np.array([-1.0, -1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Inequalities w ŵ + x x̂ + c <= 0 of each interval, (N, M); labels name the columns."""
+
+    w: np.ndarray
+    x: np.ndarray
+    c: np.ndarray
+    labels: tuple[tuple[Limit, int, str], ...]
+
+
+class StuckError(Exception):
+    """The stages have no solution from this interval on."""
+
+    def __init__(self, interval: int, x: float | None, following: tuple[float, float]) -> None:
+        super().__init__(interval, x, following)
+        self.interval, self.x, self.following = interval, x, following
+
+
+def stage_rows(
+    limits: Sequence[Limit], grid: Grid, curvature: np.ndarray, scale: np.ndarray
+) -> Rows:
+    """Return the inequalities of all intervals, each of unit gradient."""
+    ws, xs, cs, labels = [], [], [], []
+    for limit in limits:
+        degree = limit.degree(grid)
+        z = bernstein.nodes(degree)
+        to_bernstein = bernstein.from_values(degree)
+        a, b, c = limit.terms(grid, z, scale)
+        z = z[:, None]
+        rho = curvature / 2
+        # x(z) = scale (x x̂ + w ŵ) and s'' = scale (dx x̂ + dw ŵ)/(2 h), coefficients by z:
+        w = b * (scale * (z - rho * z * (1 - z)))[:, :, None]
+        x = b * (scale * (1 - 2 * rho * z * (1 - z)))[:, :, None]
+        if a is not None:
+            rate = scale / (2 * grid.h)
+            w += a * (rate * (1 - rho * (1 - 2 * z)))[:, :, None]
+            x += a * (rate * (-2 * rho * (1 - 2 * z)))[:, :, None]
+        w, x = bernstein.along(to_bernstein, w), bernstein.along(to_bernstein, x)
+        if limit.squared:
+            slope = bernstein.along(
+                bernstein.from_values(degree), grid.path(bernstein.nodes(degree), 1)
+            )
+            sides = [("upper", 1 / limit.squared_bounds(slope), np.full_like(w, -1.0))]
+        elif c is None:
+            sides = [
+                ("upper", 1 / limit.upper, np.full_like(w, -1.0)),
+                ("lower", 1 / limit.lower, np.full_like(w, -1.0)),
+            ]
+        else:
+            c = bernstein.along(to_bernstein, c)
+            sides = [
+                (side, sign / limit.scale, sign * (c - bound) / limit.scale)
+                for side, sign, bound in (("upper", 1, limit.upper), ("lower", -1, limit.lower))
+            ]
+        for side, factor, constant in sides:
+            ws.append(_by_interval(w * factor))
+            xs.append(_by_interval(x * factor))
+            cs.append(_by_interval(constant))
+            labels += [(limit, row, side) for _ in range(len(w)) for row in range(w.shape[2])]
+    return _normalized(
+        np.concatenate(ws, 1), np.concatenate(xs, 1), np.concatenate(cs, 1) + MARGIN, labels
+    )
+
+
+def _by_interval(values: np.ndarray) -> np.ndarray:
+    """Turn (K, N, R) into (N, K R)."""
+    return values.transpose(1, 0, 2).reshape(values.shape[1], -1)
+
+
+def _normalized(w: np.ndarray, x: np.ndarray, c: np.ndarray, labels: list) -> Rows:
+    """Scale rows to unit gradient; a row that no motion in reach can violate says 0 <= 1."""
+    size = np.hypot(w, x)
+    idle = size * _FREE < -c
+    factor = 1 / np.where(idle | (size == 0), 1.0, size)
+    factor[idle] = 0.0
+    c = c * factor
+    c[idle] = -1.0
+    return Rows(w * factor, x * factor, c, tuple(labels))
+
+
+@cache
+def _toppra() -> tuple[Any, Any]:
+    """Load toppra's stage program and its interface to constraints."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # SyntaxWarnings of its first compilation
+            from toppra.constraint import LinearConstraint
+            from toppra.solverwrapper.cy_seidel_solverwrapper import seidelWrapper
+    except ImportError as error:
+        raise ImportError("time_scale needs the package toppra: pip install toppra") from error
+
+    class Block(LinearConstraint):
+        """Some columns of the rows, in toppra's form F (a u + b x + c) <= g with F = 1."""
+
+        def __init__(self, w: np.ndarray, x: np.ndarray, c: np.ndarray) -> None:
+            super().__init__()
+            self.identical = True
+            columns = w.shape[1]
+            self.parameters = (w, x, c, np.eye(columns), np.zeros(columns), None, None)
+
+        def compute_constraint_params(self, *args: Any, **kwargs: Any) -> tuple:
+            return self.parameters
+
+    return seidelWrapper, Block
+
+
+def _stage_solver(rows: Rows) -> Callable:
+    """Return toppra's function for one stage, on a grid of steps 1/2: x_next = x + w."""
+    wrapper, block = _toppra()
+    count, columns = rows.w.shape
+    last = np.zeros((1, columns))
+    w, x, c = (np.concatenate([m, last]) for m in (rows.w, rows.x, rows.c))
+    blocks = [
+        block(*(np.ascontiguousarray(m[:, i : i + _BLOCK]) for m in (w, x, c)))
+        for i in range(0, columns, _BLOCK)
+    ]
+    return wrapper(blocks, None, np.arange(count + 1) / 2, True).solve_stagewise_optim
+
+
+def fastest_profile(
+    limits: Sequence[Limit], grid: Grid, curvature: np.ndarray, scale: np.ndarray
+) -> tuple[Profile, Rows]:
+    """Solve all stages: backward the controllable sets, forward the fastest motion in them.
+
+    Raises
+    ------
+    StuckError
+        No motion satisfies the limits.
+    """
+    rows = stage_rows(limits, grid, curvature, scale)
+    solve = _stage_solver(rows)
+    floors = any(limit.kind == "torque" for limit in limits)
+    sets = np.zeros((2, len(scale), 2))
+    x = np.zeros((2, len(scale)))
+    units = scale.tolist()
+    for section in grid.sections:
+        low, high = _controllable(solve, section, units, floors)
+        _drive(solve, section, units, low, high, x)
+        inside = slice(section.first, section.last)
+        sets[0, inside] = np.stack([low[:-1], low[1:]], axis=1)
+        sets[1, inside] = np.stack([high[:-1], high[1:]], axis=1)
+    return Profile(grid, x[0], x[1], curvature, sets), rows
+
+
+def _controllable(
+    solve: Callable, section: Section, units: list[float], floors: bool
+) -> tuple[list[float], list[float]]:
+    """Return the lowest and highest s'^2 at each gridpoint that the end allows.
+
+    Loop invariant: from every x in [low[i], high[i]] some w leads into [low[i+1], high[i+1]].
+    Without torque limits a slower motion is always allowed: low stays 0.
+    """
+    count = section.last - section.first
+    low, high = [0.0] * (count + 1), [0.0] * (count + 1)
+    if section.end is None:
+        high[count] = _FREE * units[section.last - 1]
+    else:
+        high[count] = section.end
+        low[count] = section.end if floors else 0.0
+    for i in range(count - 1, -1, -1):
+        stage = section.first + i
+        unit = units[stage]
+        following = (low[i + 1] / unit, high[i + 1] / unit)
+        top = solve(stage, None, _FASTEST_LEFT, 0.0, _NAN, *following)[1]
+        if not top >= 0:
+            raise StuckError(stage, None, following)
+        high[i] = top * unit * (1 - MARGIN)
+        if floors:
+            bottom = max(solve(stage, None, _SLOWEST_LEFT, 0.0, _NAN, *following)[1], 0.0)
+            low[i] = min(bottom * unit * (1 + MARGIN), high[i])
+    return low, high
+
+
+def _drive(
+    solve: Callable,
+    section: Section,
+    units: list[float],
+    low: list[float],
+    high: list[float],
+    x: np.ndarray,
+) -> None:
+    """Fill in the fastest motion through a section: from each x the largest next one."""
+    speed = high[0] if section.start is None else section.start
+    slack = 1e-6 * MARGIN
+    if not low[0] * (1 - slack) <= speed <= high[0] * (1 + 2 * MARGIN):
+        unit = units[section.first]
+        raise StuckError(section.first, speed / unit, (low[1] / unit, high[1] / unit))
+    for i in range(section.last - section.first):
+        stage = section.first + i
+        unit = units[stage]
+        here = speed / unit
+        w = solve(stage, None, _FASTEST_RIGHT, here, here, low[i + 1] / unit, high[i + 1] / unit)[0]
+        if w != w:
+            raise StuckError(stage, here, (low[i + 1] / unit, high[i + 1] / unit))
+        x[0, stage] = speed
+        speed = min(max(speed + w * unit, low[i + 1]), high[i + 1])
+        x[1, stage] = speed
+    if section.end is not None and speed < section.end * (1 - 1e-9):
+        raise StuckError(section.last - 1, None, (section.end / units[section.last - 1],) * 2)

@@ -1,0 +1,331 @@
+"""The pytest plugin on small notebooks: what must pass, what must fail, and why."""
+
+import importlib.metadata
+import os
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import NamedTuple
+
+import nbformat
+import pytest
+from nbformat.v4 import new_code_cell, new_notebook, new_output
+
+ROOT = Path(__file__).resolve().parents[1]
+SETUP = """\
+%load_ext statebook.regression
+import numpy as np
+import matplotlib.pyplot as plt
+t = np.linspace(0, 10, 1000)
+noise = 1 + 1e-13 * np.cos(7 * t)
+def curve(y=np.sin(t), label="sine", xlabel="t [s]", **style):
+    fig, ax = plt.subplots(**style)
+    ax.plot(t, y, label=label)
+    ax.set(xlabel=xlabel)
+    return fig, ax
+"""
+
+
+class Case(NamedTuple):
+    """A cell as it was stored, and what it says now."""
+
+    stored: str
+    new: str
+    reason: str = ""  # for those that must fail
+    tags: tuple[str, ...] = ()
+
+
+MUST_PASS = {
+    "unchanged": Case("1 + 1", "1 + 1"),
+    "last-digit noise": Case("0.1 + 0.2", "0.3"),
+    "noise in an array": Case("np.sin(t)[:50]", "(np.sin(t) * noise)[:50]"),
+    "wrapped array": Case("np.linspace(0, 1, 40)", "np.linspace(0, 1, 40) * (1 + 1e-15)"),
+    "other line width": Case(
+        "print(np.sin(t)[:30])", "print(np.array2string(np.sin(t)[:30], max_line_width=50))"
+    ),
+    "negative zero": Case("np.array([0.0, 1.5])", "np.array([-0.0, 1.5])"),
+    "rounding noise": Case("print(0.0)", "print(-2.2e-17)"),
+    "one unit in the last place": Case("print('0.3333')", "print('0.3334')"),
+    "complex noise": Case("np.exp(1j * np.pi)", "np.exp(1j * np.pi) * (1 - 1e-14)"),
+    "inf and nan": Case("np.array([np.inf, np.nan])", "np.array([np.inf, -np.nan])"),
+    "LaTeX number": Case(
+        "from IPython.display import Latex\nLatex(r'$1.2345678 \\cdot 10^{-3}$')",
+        "from IPython.display import Latex\nLatex(r'$1.2345679 \\cdot 10^{-3}$')",
+    ),
+    "HTML number": Case(
+        "from IPython.display import HTML\nHTML('<td>1.25&times;10<sup>-3</sup></td>')",
+        "from IPython.display import HTML\nHTML('<td>1.2500001&times;10<sup>-3</sup></td>')",
+    ),
+    "object address": Case("object()", "object()"),
+    "prints in many pieces": Case(
+        "print('a', 1.5)\nprint('b', 2.5)",
+        "for c in 'a 1.5\\nb 2.5\\n': print(c, end='', flush=True)",
+    ),
+    "tolerance of a cell": Case("print(1.0)", "print(1.009)", tags=("regression-rtol=0.01",)),
+    "absolute tolerance": Case("print(1e-5)", "print(3e-5)", tags=("regression-atol=1e-4",)),
+    "expected error": Case("1 / 0", "2 / 0", tags=("raises-exception",)),
+    "silenced by a semicolon": Case("np.sin(t);", "np.cos(t);"),
+    "output to be ignored": Case("id(t)", "id(t) + 1", tags=("nbval-ignore-output",)),
+    "unchanged figure": Case("curve();\nplt.show()", "curve();\nplt.show()"),
+    "noise in a figure": Case("curve()\nplt.show()", "curve(np.sin(t) * noise)\nplt.show()"),
+    "size of a figure": Case("curve()\nplt.show()", "curve(figsize=(3, 2), dpi=50)\nplt.show()"),
+    "colour of a curve": Case(
+        "fig, ax = curve()\nplt.show()",
+        "fig, ax = curve()\nax.lines[0].set(color='k', linewidth=5)\nplt.show()",
+    ),
+    "font of a label": Case(
+        "fig, ax = curve()\nplt.show()",
+        "fig, ax = curve()\nax.xaxis.label.set(size=20, family='serif')\nplt.show()",
+    ),
+    "figure at the end of the cell": Case("fig, ax = curve()", "fig, ax = curve(dpi=50)"),
+    "nothing": Case("x = 1", "x = 2"),
+}
+
+MUST_FAIL = {
+    "sign": Case("print(0.25)", "print(-0.25)", "-0.25, stored 0.25"),
+    "one per cent": Case("print(1.2345)", "print(1.2468)", "difference 0.0123"),
+    "integer": Case("len(t)", "len(t) + 1", "1001, stored 1000 (integers are exact)"),
+    "word": Case("print('stable')", "print('unstable')", "'unstable'"),
+    "additional line": Case("print(1.5)", "print(1.5)\nprint(2.5)", "2 lines, stored 1"),
+    "entry of an array": Case(
+        "np.linspace(0, 1, 40)",
+        "np.where(np.arange(40) == 7, 1.0, np.linspace(0, 1, 40))",
+        "stored",
+    ),
+    "reordered dictionary": Case("{'a': 1.5, 'b': 2}", "{'b': 2, 'a': 1.5}", "'b'"),
+    "missing output": Case("1.5", "x = 1.5", "0 displayed outputs (none), stored 1 (text)"),
+    "output where none was": Case("x = 1.5", "1.5", "1 displayed outputs (text), stored 0 (none)"),
+    "missing print": Case("print(1.5)", "x = 1.5", "stdout: stored, but nothing was printed"),
+    "print where none was": Case("x = 1.5", "print(1.5)", "stdout: printed, but none is stored"),
+    "semicolon added": Case("1.5", "1.5;", "0 displayed outputs"),
+    "semicolon removed": Case("1.5;", "1.5", "1 displayed outputs"),
+    "warning": Case(
+        "x = 1", "import warnings; warnings.warn('x')", "stderr: printed, but none is stored"
+    ),
+    "error": Case("x = 1", "1 / 0", "ZeroDivisionError"),
+    "no error any more": Case("1 / 0", "x = 1", "raises nothing now", ("raises-exception",)),
+    "no error, none stored": Case("x = 1", "x = 1", "nothing was raised", ("raises-exception",)),
+    "no error, output ignored": Case(
+        "1 / 0", "x = 1", "nothing was raised", ("raises-exception", "nbval-ignore-output")
+    ),
+    "another error": Case("1 / 0", "int('x')", "ValueError", ("raises-exception",)),
+    "unknown magic": Case("x = 1", "%unheard_of", "unheard_of"),
+    "unknown magic, output ignored": Case(
+        "print(1)", "%unheard_of", "unheard_of", ("nbval-ignore-output",)
+    ),
+    "bad tolerance": Case("x = 1", "x = 1", "got 'wide'", ("regression-rtol=wide",)),
+    "negative tolerance": Case("x = 1", "x = 1", "got '-1'", ("regression-atol=-1",)),
+    "unknown setting": Case("x = 1", "x = 1", "is not known", ("regression-tolerance=1",)),
+    "one point of a curve": Case(
+        "curve()\nplt.show()",
+        "curve(np.where(np.arange(1000) == 437, 1.01, 1) * np.sin(t))\nplt.show()",
+        "axes 1, line 1 'sine', y: point 438 of 1000 differs by",
+    ),
+    "swapped curve": Case(
+        "curve()\nplt.show()", "curve(np.cos(t))\nplt.show()", "'sine', y: point"
+    ),
+    "sign of a curve": Case("curve()\nplt.show()", "curve(-np.sin(t))\nplt.show()", "'sine', y"),
+    "label of a curve": Case(
+        "curve()\nplt.show()", "curve(label='cosine')\nplt.show()", "label: 'cosine', stored 'sine'"
+    ),
+    "label of an axis": Case(
+        "curve()\nplt.show()", "curve(xlabel='t [ms]')\nplt.show()", "'t [ms]', stored 't [s]'"
+    ),
+    "additional curve": Case(
+        "curve()\nplt.show()",
+        "fig, ax = curve()\nax.plot(t, t)\nplt.show()",
+        "shows line 1 'sine', line 2; stored line 1 'sine'",
+    ),
+    "scale of an axis": Case(
+        "curve()\nplt.show()", "fig, ax = curve()\nax.set_yscale('symlog')\nplt.show()", "symlog"
+    ),
+    "missing figure": Case("curve()\nplt.show()", "_ = curve()\nplt.close()", "stored 1 (figure)"),
+    "additional figure": Case(
+        "curve()\nplt.show()",
+        "curve()\ncurve()\nplt.show()",
+        "2 displayed outputs (figure, figure)",
+    ),
+    "figure without its data": Case(
+        "curve()\nplt.show()",
+        "%unload_ext statebook.regression\ncurve()\nplt.show()\n%load_ext statebook.regression",
+        "a figure's data are stored, but none came",
+    ),
+}
+
+
+def environment():
+    paths = [str(ROOT / "lib"), os.environ.get("PYTHONPATH", "")]
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
+
+
+def pytest_process(folder, *arguments):
+    points = importlib.metadata.entry_points(group="pytest11")
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--color=no"]
+    if all(point.value != "statebook.regression.plugin" for point in points):
+        command += ["-p", "statebook.regression.plugin"]
+    command += ["--nbval", *arguments]
+    return subprocess.run(command, cwd=folder, env=environment(), capture_output=True, text=True)
+
+
+def run_pytest(folder, *arguments):
+    """Results of a pytest run: {(file, cell): (outcome, text)}."""
+    pytest_process(folder, "--nbval-current-env", "--junitxml=report.xml", *arguments)
+    results = {}
+    for case in ET.parse(folder / "report.xml").iter("testcase"):
+        children = [c for c in case if c.tag in ("failure", "error", "skipped")]
+        outcome = children[0].tag if children else "passed"
+        text = (children[0].get("message") or "") + (children[0].text or "") if children else ""
+        results[case.get("classname"), case.get("name")] = outcome, text
+    return results
+
+
+def store(path, cells):
+    nbformat.write(new_notebook(cells=cells), path)
+
+
+def cell(source, tags=(), **fields):
+    return new_code_cell(source, metadata={"tags": list(tags)} if tags else {}, **fields)
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    """Both tables as notebooks: executed as stored, then run with the new sources."""
+    folder = tmp_path_factory.mktemp("cases")
+    (folder / "pytest.ini").write_text("[pytest]\n")
+    tables = {"passing.ipynb": MUST_PASS, "failing.ipynb": MUST_FAIL}
+    for name, table in tables.items():
+        # Tags such as a bad tolerance stop the executor too: they come with the new source.
+        stored = [
+            cell(case.stored, ["raises-exception"] if "1 / 0" in case.stored else ())
+            for case in table.values()
+        ]
+        store(folder / name, [cell(SETUP), *stored])
+    command = [sys.executable, "-m", "statebook.regression", "refresh", "--jobs", "2", *tables]
+    subprocess.run(command, cwd=folder, env=environment(), check=True, capture_output=True)
+    for name, table in tables.items():
+        nb = nbformat.read(folder / name, as_version=4)
+        for old, case in zip(nb.cells[1:], table.values(), strict=True):
+            old.source, old.metadata["tags"] = case.new, list(case.tags)
+        nbformat.write(nb, folder / name)
+    broken_notebooks(folder)
+    return run_pytest(folder, "--nbval-cell-timeout=3", "."), folder
+
+
+def broken_notebooks(folder):
+    ran = {"execution_count": 1, "outputs": []}
+    store(folder / "stripped.ipynb", [cell("print(1.5)"), cell("2.5")])
+    store(folder / "half_stripped.ipynb", [cell("x = 1", **ran), cell("print(x)")])
+    store(folder / "hangs.ipynb", [cell("while True: pass", **ran), cell("x = 1", **ran)])
+    store(
+        folder / "dies.ipynb",
+        [cell("x = 1", **ran), cell("import os; os._exit(1)", **ran), cell("x = 1", **ran)],
+    )
+    (folder / "not_json.ipynb").write_text("hello")
+    (folder / "not_a_notebook.ipynb").write_text('{"a": 1}')
+    (folder / "empty.ipynb").write_text("")
+
+
+@pytest.mark.parametrize("index", range(len(MUST_PASS)), ids=MUST_PASS)
+def test_must_pass(results, index):
+    outcome, text = results[0]["passing.ipynb", f"Cell {index + 1}"]
+    assert outcome == "passed", text
+
+
+@pytest.mark.parametrize("index", range(len(MUST_FAIL)), ids=MUST_FAIL)
+def test_must_fail(results, index):
+    outcome, text = results[0]["failing.ipynb", f"Cell {index + 1}"]
+    assert outcome == "failure"
+    assert list(MUST_FAIL.values())[index].reason in text
+
+
+def test_a_difference_prints_the_command_that_accepts_it(results):
+    _, text = results[0]["failing.ipynb", "Cell 1"]
+    assert "to accept: python -m statebook.regression refresh failing.ipynb" in text
+
+
+@pytest.mark.parametrize(
+    ("name", "outcomes", "reason"),
+    [
+        ("stripped", {0: "failure", 1: "skipped"}, "the notebook was never executed"),
+        ("half_stripped", {0: "passed", 1: "failure"}, "the cell was never executed"),
+        ("hangs", {0: "failure", 1: "skipped"}, "Timeout of 3 seconds"),
+        ("dies", {0: "passed", 1: "failure", 2: "skipped"}, "the kernel died"),
+        ("not_json", {None: "failure"}, "does not appear to be JSON"),
+        ("not_a_notebook", {None: "failure"}, "is not a readable notebook"),
+        ("empty", {None: "failure"}, "is not a readable notebook"),
+    ],
+)
+def test_broken_notebook_fails_once_and_the_rest_goes_on(results, name, outcomes, reason):
+    found = {cell: value for (file, cell), value in results[0].items() if file == f"{name}.ipynb"}
+    wanted = {f"Cell {k}" if k is not None else "notebook": v for k, v in outcomes.items()}
+    assert {cell: outcome for cell, (outcome, _) in found.items()} == wanted
+    assert reason in next(text for outcome, text in found.values() if outcome == "failure")
+
+
+def test_missing_kernel(tmp_path):
+    nb = new_notebook(cells=[cell("1", execution_count=1), cell("2", execution_count=2)])
+    nb.metadata["kernelspec"] = {"name": "unheard_of", "display_name": "?", "language": "python"}
+    nbformat.write(nb, tmp_path / "a.ipynb")
+    done = pytest_process(tmp_path)
+    assert "has no kernel" in done.stdout and "1 failed, 1 skipped" in done.stdout
+
+
+@pytest.mark.parametrize("arguments", [["--regression-rtol=wide"], ["--regression-atol=-1"]])
+def test_bad_option(tmp_path, arguments):
+    done = pytest_process(tmp_path, *arguments)
+    assert done.returncode == 4 and "must be a number >= 0" in done.stderr
+
+
+def test_settings(tmp_path):
+    (tmp_path / "pytest.ini").write_text("[pytest]\nregression_rtol = 0.1\n")
+    output = new_output("stream", name="stdout", text="1.0000\n")
+    stored = [cell("print('1.0500')", execution_count=1, outputs=[output])]
+    store(tmp_path / "a.ipynb", stored)
+    assert run_pytest(tmp_path)["a.ipynb", "Cell 0"][0] == "passed"
+    assert run_pytest(tmp_path, "--regression-rtol=0.01")["a.ipynb", "Cell 0"][0] == "failure"
+
+
+def test_without_nbval_the_plugin_loads_nothing():
+    code = (
+        "import sys, statebook.regression.plugin, statebook.regression as r\n"
+        "print(*sorted({'numpy', 'matplotlib', 'nbval', 'nbformat', 'IPython'} & set(sys.modules)))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment(), capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == []
+
+
+def test_the_extension_loads_no_matplotlib():
+    code = (
+        "from IPython.core.interactiveshell import InteractiveShell\nimport sys\n"
+        "shell = InteractiveShell.instance()\n"
+        "shell.run_line_magic('load_ext', 'statebook.regression')\n"
+        "assert 'matplotlib.figure' not in sys.modules and 'numpy' not in sys.modules\n"
+        "from matplotlib.figure import Figure\n"
+        "print(*shell.display_formatter.format(Figure())[0])\n"
+        "shell.run_line_magic('unload_ext', 'statebook.regression')\n"
+        "print(*shell.display_formatter.format(Figure())[0])\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment(), capture_output=True, text=True
+    )
+    assert done.stdout.split() == [
+        "application/vnd.statebook.figure+json",
+        "text/plain",
+        "text/plain",
+    ], done.stderr
+
+
+@pytest.mark.skipif(not Path("/proc/self/cwd").exists(), reason="lists processes through /proc")
+def test_no_kernel_survives(results):
+    folder = os.path.realpath(results[1])
+    left = []
+    for process in Path("/proc").glob("[0-9]*/cwd"):
+        try:
+            if os.path.realpath(process) == folder:
+                left.append((process.parent / "cmdline").read_text())
+        except OSError:
+            pass  # ended meanwhile, or another user's
+    assert left == []

@@ -1,0 +1,117 @@
+"""Texts: the same words, numbers within a tolerance."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from statebook.regression.textdiff import text_difference
+
+
+def compare(stored, new, rtol=1e-6, atol=1e-12):
+    return text_difference(stored, new, rtol=rtol, atol=atol)
+
+
+SAME = {
+    "last digit": ("x = 0.30000000000000004", "x = 0.3"),
+    "one unit in the last place": ("0.3333", "0.3334"),
+    "one unit across a power of ten": ("9.999e-04", "1.000e-03"),
+    "a zero dropped by %g": ("1.5", "1.501"),
+    "negative zero": ("[-0.  1.]", "[0. 1.]"),
+    "sign of rounding noise": ("-1.2e-17", "3.4e-17"),
+    "noise where zero was": ("0.0", "2.2e-16"),
+    "wrapped array": ("[0.1 0.2\n 0.3 0.4]", "[0.1 0.2 0.3\n 0.4]"),
+    "wrapped array with commas": ("array([ 0.1,  0.2,\n        0.3])", "array([0.1, 0.2, 0.3])"),
+    "widened columns": ("[[ 1.  -0. ]\n [ 0.   2. ]]", "[[1. 0.]\n [0. 2.]]"),
+    "complex noise": ("(1000+1e-10j)", "(1000-1e-10j)"),
+    "complex negative zero": ("[-0.-1.j  1.+0.j]", "[ 0.-1.j  1.-0.j]"),
+    "inf and nan": ("inf -inf nan", "inf -inf nan"),
+    "LaTeX exponent": (r"1.2345678 \cdot 10^{-3}", r"1.2345679 \cdot 10^{-3}"),
+    "LaTeX to %e": (r"1.5 \times 10^{3}", "1.5e+03"),
+    "HTML exponent": ("1.25&times;10<sup>-3</sup>", "1.2500001&times;10<sup>-3</sup>"),
+    "unicode exponent and minus": ("\u22121.25\u00d710⁻³", "-1.25e-3"),
+    "python-control's LaTeX": (
+        r"-9.&\hspace{-1em}81&\hspace{-1em}\cdot10^{3}&0\phantom{.}&\hspace{-1em}",
+        r"-9.&\hspace{-1em}81000001&\hspace{-1em}\cdot10^{3}&0\phantom{.}&\hspace{-1em}",
+    ),
+    "number with a unit": ("T = 1.23400s, m = 2.0kg", "T = 1.23401s, m = 2.0kg"),
+    "polynomial with a noisy term": ("s^2 + 1.0e-17 s + 1", "s^2 - 1.0e-17 s + 1"),
+    "address": ("<f at 0x7f1234>", "<f at 0x7f9876>"),
+    "column of a table": ("a |  0.5 | -0.0", "a | 0.5 | 0.0"),
+}
+
+DIFFERENT = {
+    "sign": ("0.25", "-0.25"),
+    "sign of a complex part": ("(1.5+2.5j)", "(1.5-2.5j)"),
+    "one per cent": ("1.2345", "1.2468"),
+    "a unit that is a fifth of the number": ("0.5", "0.6"),
+    "two units": ("0.3333", "0.3335"),
+    "integer": ("n = 3", "n = 4"),
+    "integer to float": ("5", "5.0"),
+    "exponent": ("1.5e3", "1.5e4"),
+    "power of ten": (r"10^{3}", r"10^{4}"),
+    "LaTeX exponent": (r"1.2 \cdot 10^{-3}", r"1.2 \cdot 10^{-2}"),
+    "HTML exponent": ("1.2&times;10<sup>-3</sup>", "1.2&times;10<sup>3</sup>"),
+    "inf": ("inf", "-inf"),
+    "nan": ("nan", "1.0"),
+    "date": ("2024-01-05", "2024-01-06"),
+    "time": ("12:30:01.5", "12:30:01.6"),
+    "version": ("1.2.3", "1.2.4"),
+    "short version": ("numpy 2.1", "numpy 2.2"),
+    "tag": ("v3.1", "v3.2"),
+    "identifier": ("x1.5 run_07", "x1.5 run_08"),
+    "section": ("Section 13.2", "Section 13.3"),
+    "word": ("stable", "unstable"),
+    "boolean": ("True", "False"),
+    "reordered dictionary": ("{'a': 1.0, 'b': 2.0}", "{'b': 2.0, 'a': 1.0}"),
+    "swapped entries": ("[1.0 2.0]", "[2.0 1.0]"),
+    "additional line": ("a 1.0\n", "a 1.0\nb 2.0\n"),
+    "missing entry": ("[1.0 2.0 3.0]", "[1.0 2.0]"),
+    "array shape": ("[[1. 2.]\n [3. 4.]]", "[1. 2. 3. 4.]"),
+    "moved decimal": ("12.5", "1.25"),
+    "lines outside of an array": ("1.0\n2.0", "1.0 2.0"),
+    "unit of measure": ("1.5 m", "1.5 mm"),
+}
+
+
+@pytest.mark.parametrize(("stored", "new"), SAME.values(), ids=SAME)
+def test_agree(stored, new):
+    assert compare(stored, new) is None
+    assert compare(new, stored) is None
+
+
+@pytest.mark.parametrize(("stored", "new"), DIFFERENT.values(), ids=DIFFERENT)
+def test_differ(stored, new):
+    assert compare(stored, new)
+    assert compare(new, stored)
+
+
+def test_message_says_where_and_by_how_much():
+    message = compare("first\nx = 1.5, y = 2.0", "first\nx = 1.5, y = 2.5")
+    assert message == "line 2: 2.5, stored 2.0 (difference 0.5, allowed 2.5e-06)"
+
+
+def test_tolerances():
+    assert compare("1.0000", "1.0100") and not compare("1.0000", "1.0100", rtol=0.02)
+    assert compare("1.0e-5", "3.0e-5") and not compare("1.0e-5", "3.0e-5", atol=1e-4)
+    assert not compare("0.3333", "0.3334", rtol=0.0, atol=0.0)
+    assert compare("3", "4", rtol=1.0, atol=10.0), "integers are exact whatever the tolerance"
+
+
+floats = st.floats(allow_nan=False, allow_infinity=False)
+
+
+@given(floats, st.sampled_from([repr, "{:.6e}".format, "{:.4f}".format, "{:+.9g}".format]))
+def test_any_number_agrees_with_itself_and_not_with_its_double(value, show):
+    assert compare(show(value), show(value)) is None
+    if abs(value) > 1e-3 and math.isfinite(2.0 * value):
+        assert compare(show(value), show(2.0 * value))
+
+
+@given(st.text(max_size=40), st.text(max_size=40))
+def test_any_text_is_compared(a, b):
+    assert compare(a, a) is None
+    message = compare(a, b)
+    assert message is None or message
+    if not any(c.isdigit() or c.isspace() for c in a + b) and "n" not in a + b:
+        assert (message is None) == (a.replace("\u2212", "-") == b.replace("\u2212", "-"))

@@ -1,0 +1,337 @@
+"""The bootstrap run.py and the files that it reads: no network, nothing installed."""
+
+import ast
+import importlib.util
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+ROOT = Path(__file__).resolve().parents[1]
+SOURCE = (ROOT / "run.py").read_text(encoding="utf-8")
+
+
+def notebook(path, *sources, cell_type="code"):
+    """Write a notebook of the given cells."""
+    cells = [{"cell_type": cell_type, "source": [s], "metadata": {}} for s in sources]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps({"cells": cells}), encoding="utf-8")
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch):
+    """A run.py of its own, in a folder with a space in its name, that installs nothing."""
+    spec = importlib.util.spec_from_file_location("run_under_test", ROOT / "run.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    root = tmp_path / "my copy"
+    root.mkdir()
+    (root / "requirements.txt").write_text("# core\n\nnumpy>=2.2\ntoppra>=0.6.3\nscipy>=1.15\n")
+    (root / "pyproject.toml").write_text("[project]\n")
+    monkeypatch.setattr(module, "ROOT", root)
+    monkeypatch.setattr(module, "VENV", root / ".venv")
+    monkeypatch.setattr(module, "BUILD", root / "_build")
+    module.calls = []
+    module.codes = {}
+
+    def make_venv():
+        module.calls.append("venv")
+        module.venv_python().parent.mkdir(parents=True, exist_ok=True)
+        module.venv_python().touch()
+        (module.VENV / "statebook-stamp").unlink(missing_ok=True)
+
+    def pip(packages, doing):
+        module.calls.append(packages)
+        return module.codes.get(doing, 0), "ERROR: no compiler"
+
+    monkeypatch.setattr(module, "make_venv", make_venv)
+    monkeypatch.setattr(module, "pip", pip)
+    return module
+
+
+def test_old_pythons_parse_run_py():
+    ast.parse(SOURCE, feature_version=(3, 6))
+
+
+def test_run_py_needs_the_standard_library_alone():
+    names = set()
+    for node in ast.walk(ast.parse(SOURCE)):
+        if isinstance(node, ast.Import):
+            names |= {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            names.add(node.module.partition(".")[0])
+    assert names <= sys.stdlib_module_names
+
+
+def test_old_python_is_turned_away(run, monkeypatch):
+    monkeypatch.setattr(run.sys, "version_info", (3, 9, 18))
+    with pytest.raises(SystemExit, match=r"needs Python 3\.10 or newer and this is Python 3\."):
+        run.main(["book"])
+    assert run.calls == []
+
+
+@pytest.mark.parametrize("missing", ["venv", "ensurepip"])
+def test_missing_venv_names_the_package(run, monkeypatch, missing):
+    monkeypatch.setitem(sys.modules, missing, None)
+    with pytest.raises(SystemExit, match="install the package python3-venv"):
+        run.main(["test"])
+
+
+def test_usage_without_a_job():
+    done = subprocess.run([sys.executable, ROOT / "run.py"], capture_output=True, text=True)
+    assert done.returncode == 2
+    assert all(f"run.py {job}" in done.stdout for job in ("book", "test", "lab", "refresh"))
+
+
+def test_second_run_installs_nothing(run):
+    run.ensure_environment()
+    assert run.calls == [
+        "venv",
+        ["numpy>=2.2", "scipy>=1.15", "--editable", str(run.ROOT)],
+        ["toppra>=0.6.3"],
+    ]
+    run.calls.clear()
+    run.ensure_environment()
+    assert run.calls == []
+
+
+@pytest.mark.parametrize("name", ["requirements.txt", "pyproject.toml"])
+def test_changed_file_installs_again_without_a_new_venv(run, name):
+    run.ensure_environment()
+    run.calls.clear()
+    with (run.ROOT / name).open("a") as file:
+        file.write("# changed\n")
+    run.ensure_environment()
+    assert len(run.calls) == 2 and "venv" not in run.calls
+
+
+def test_moved_folder_or_other_python_makes_a_new_venv(run, monkeypatch):
+    run.ensure_environment()
+    run.calls.clear()
+    monkeypatch.setattr(run.platform, "python_version", lambda: "3.10.1")
+    run.ensure_environment()
+    assert run.calls[0] == "venv"
+    run.calls.clear()
+    moved = run.ROOT.with_name("moved")
+    run.ROOT.rename(moved)
+    monkeypatch.setattr(run, "ROOT", moved)
+    monkeypatch.setattr(run, "VENV", moved / ".venv")
+    run.ensure_environment()
+    assert run.calls[0] == "venv"
+
+
+def test_venv_without_its_interpreter_is_made_anew(run):
+    run.ensure_environment()
+    run.venv_python().unlink()
+    run.calls.clear()
+    run.ensure_environment()
+    assert run.calls[0] == "venv"
+
+
+@pytest.mark.parametrize("doing", ["installing", "installing toppra"])
+def test_interrupted_installation_starts_anew(run, monkeypatch, doing):
+    run.ensure_environment()
+    (run.ROOT / "requirements.txt").write_text("numpy>=2.3\ntoppra>=0.6.3\n")
+    pip = run.pip
+
+    def interrupted(packages, what):
+        if what == doing:
+            raise KeyboardInterrupt
+        return pip(packages, what)
+
+    monkeypatch.setattr(run, "pip", interrupted)
+    with pytest.raises(SystemExit, match="interrupted"):
+        run.main(["book"])
+    monkeypatch.setattr(run, "pip", pip)
+    run.calls.clear()
+    run.ensure_environment()
+    assert run.calls[0] == "venv"
+
+
+def test_failed_installation_says_why_and_is_repeated(run):
+    run.codes["installing"] = 1
+    with pytest.raises(SystemExit, match="pip failed with 'no compiler'"):
+        run.ensure_environment()
+    run.codes.clear()
+    run.calls.clear()
+    run.ensure_environment()
+    assert run.calls[0] == "venv"
+
+
+def test_goes_on_without_toppra(run, capsys):
+    run.codes["installing toppra"] = 1
+    run.ensure_environment()
+    assert "goes on without it" in capsys.readouterr().out
+    run.calls.clear()
+    run.ensure_environment()
+    assert run.calls == []
+
+
+@pytest.mark.parametrize(
+    ("log", "sentence"),
+    [
+        ("ERROR: [Errno 28] No space left on device", "the disk is full"),
+        (
+            "WARNING: Retrying after connection broken by 'NewConnectionError(': Failed to "
+            "establish a new connection: [Errno -3] Temporary failure in name resolution')'\n"
+            "ERROR: Could not find a version that satisfies the requirement numpy>=2.2\n"
+            "ERROR: No matching distribution found for numpy>=2.2",
+            "cannot reach the package index",
+        ),
+        ("ERROR: ReadTimeoutError: HTTPSConnectionPool: Read timed out.", "check the network"),
+        ("  error: command 'gcc' failed\nERROR: Failed to build toppra", "Failed to build toppra"),
+        ("", "no reason"),
+    ],
+)
+def test_pip_trouble_becomes_one_sentence(run, log, sentence):
+    explained = run.explain(log)
+    assert sentence in explained and "\n" not in explained
+
+
+def test_unwritable_folder_is_one_sentence(run, monkeypatch):
+    def denied():
+        raise PermissionError(13, "Permission denied", "/srv/.venv")
+
+    monkeypatch.setattr(run, "make_venv", denied)
+    with pytest.raises(SystemExit, match=r"run\.py: /srv/\.venv: Permission denied"):
+        run.main(["book"])
+
+
+def test_chapters_that_need_toppra_are_skipped_by_name(run, capsys):
+    workbook = run.ROOT / "workbook"
+    notebook(workbook / "15_by_hand.ipynb", "slow_down = 2")
+    notebook(workbook / "15_prose.ipynb", "call `sb.time_scale(path)`", cell_type="markdown")
+    notebook(workbook / "16_optimal.ipynb", "timed = sb.time_scale(path, velocity=1)")
+    notebook(workbook / "17_imported.ipynb", "import numpy\nimport toppra")
+    notebook(workbook / "exercises" / "16_solved.ipynb", "sb.time_scale(path)")
+    (workbook / "18_broken.ipynb").write_text("not a notebook")
+    runs, left_out = run.notebooks("**/*.ipynb")
+    assert runs == [f"workbook/{name}.ipynb" for name in ("15_by_hand", "15_prose", "18_broken")]
+    assert left_out == [
+        f"workbook/{name}.ipynb" for name in ("16_optimal", "17_imported", "exercises/16_solved")
+    ]
+    assert capsys.readouterr().out.endswith(": " + ", ".join(left_out) + "\n")
+    (run.site_packages() / "toppra").mkdir(parents=True)
+    runs, left_out = run.notebooks(run.CHAPTERS)
+    assert (len(runs), left_out, capsys.readouterr().out) == (5, [], "")
+
+
+def test_pytest_gets_the_arguments_and_the_skipped_chapters(run, monkeypatch):
+    notebook(run.ROOT / "workbook" / "16_optimal.ipynb", "sb.time_scale(path)")
+    monkeypatch.setattr(run, "run", lambda arguments: arguments)
+    arguments = run.main(["test", "-k", "pendulum"])
+    assert arguments[:2] == ["-m", "pytest"]
+    assert arguments[-3:] == ["--ignore=workbook/16_optimal.ipynb", "-k", "pendulum"]
+    assert {"--nbval", "--nbval-current-env", "loadfile"} <= set(arguments)
+
+
+@pytest.mark.parametrize(
+    ("log", "line"),
+    [
+        ("", "doing [........................] "),
+        (
+            "[1/4] workbook/00_a.ipynb 2.0 s: executed",
+            f"doing [{'#' * 6:.<24}] workbook/00_a.ipynb",
+        ),
+        ("reading... [ 50%] index\nreading... [100%] last\n", f"doing [{'#' * 24}] last"),
+    ],
+)
+def test_progress_bar(run, log, line):
+    assert run.bar("doing")(log) == line
+
+
+def test_watch_returns_code_and_output(run, monkeypatch, capsys):
+    monkeypatch.setattr(run, "venv_python", lambda: Path(sys.executable))
+    code, log = run.watch(
+        ["-c", "print('[1/2] half'); raise SystemExit(3)"], run.ROOT / "log", run.bar("working")
+    )
+    assert (code, log.strip()) == (3, "[1/2] half")
+    assert re.fullmatch(r"  working \[#{12}\.{12}\] half, \d+ s\n", capsys.readouterr().out)
+
+
+def test_environment_keeps_figures_and_one_thread(run, monkeypatch):
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    monkeypatch.setenv("OMP_NUM_THREADS", "3")
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    env = run.environment()
+    assert "MPLBACKEND" not in env
+    assert (env["OMP_NUM_THREADS"], env["OPENBLAS_NUM_THREADS"]) == ("3", "1")
+
+
+def test_failing_chapter_is_named_and_no_site_is_built(run, monkeypatch):
+    (run.ROOT / "book").mkdir()
+    failed = "[2/2] workbook/01_b.ipynb 1.0 s: FAILED In [3] (cell 5 of 9): ValueError: wrong"
+    monkeypatch.setattr(
+        run, "watch", lambda *_: (1, f"[1/2] workbook/00_a.ipynb 1 s: executed\n{failed}\n")
+    )
+    with pytest.raises(SystemExit) as stop:
+        run.book([])
+    assert str(stop.value).splitlines() == [
+        "run.py: a chapter failed, so no site was built",
+        failed,
+    ]
+    assert not (run.BUILD / "html").exists()
+
+
+def test_chapter_that_cannot_run_appears_as_committed(run, monkeypatch):
+    (run.ROOT / "book").mkdir()
+    notebook(run.ROOT / "workbook" / "15_by_hand.ipynb", "1 + 1")
+    notebook(run.ROOT / "workbook" / "16_optimal.ipynb", "sb.time_scale(path)")
+    commands = []
+
+    def watch(command, log_file, status):
+        commands.append(command)
+        (run.BUILD / "source" / "chapters").mkdir(exist_ok=True)
+        return 0, ""
+
+    monkeypatch.setattr(run, "watch", watch)
+    assert run.book([]) == 0
+    assert commands[0][-1] == "workbook/15_by_hand.ipynb"
+    shown = run.BUILD / "source" / "chapters"
+    assert [path.name for path in shown.iterdir()] == ["16_optimal.ipynb"]
+
+
+def test_running_inside_a_stale_venv_is_refused(run, monkeypatch):
+    spec = importlib.util.spec_from_file_location("fresh_run", ROOT / "run.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    monkeypatch.setattr(module, "VENV", Path("/somewhere/.venv"))
+    monkeypatch.setattr(module, "sys", SimpleNamespace(prefix="/somewhere/.venv", exit=sys.exit))
+    with pytest.raises(SystemExit, match="deactivate it"):
+        module.make_venv()
+
+
+def test_requirements_are_environment_free():
+    lines = (ROOT / "requirements.txt").read_text(encoding="utf-8").splitlines()
+    plain = re.compile(r"[a-z0-9-]+>=\d+(\.\d+)*")
+    assert [line for line in lines if line[0] != "#" and not plain.fullmatch(line)] == []
+
+
+def test_requirements_and_extras_agree():
+    """requirements.txt is the package with the extras that the two commands need."""
+    text = (ROOT / "requirements.txt").read_text(encoding="utf-8")
+    required = {line for line in text.splitlines() if line[0] != "#"}
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extras = project["optional-dependencies"]
+    wanted = set(project["dependencies"])
+    for extra in ("timescale", "regression", "lab", "test", "site"):
+        wanted |= {name for name in extras[extra] if not name.startswith("statebook[")}
+    assert required == wanted
+
+
+def test_ci_runs_the_command_of_the_readme():
+    command = "python3 run.py test"
+    script = (ROOT / ".ci" / "run").read_text(encoding="utf-8").splitlines()
+    assert script[-1] == command
+    assert os.name == "nt" or os.access(ROOT / ".ci" / "run", os.X_OK)
+    assert command in (ROOT / "README.md").read_text(encoding="utf-8")

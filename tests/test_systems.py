@@ -1,0 +1,143 @@
+"""as_system sees every kind of system alike, and knows the traps."""
+
+from __future__ import annotations
+
+import math
+
+import control
+import numpy as np
+import pytest
+
+import statebook as sb
+
+
+def swing(x, u):
+    return np.array([x[1], u[0] - 9.8 * np.cos(x[0])])
+
+
+def unbatched(x, u):
+    return np.array([x[1], -9.8])  # cannot take a batch: rows of different shapes
+
+
+def transposing(x, u):
+    return np.array([x[1], -x[0]]).T
+
+
+def mixing(x, u):
+    return x - x.mean() if x.ndim == 2 else x - x.mean() * 0 - np.mean(x)
+
+
+X, U = np.array([[0.1, 0.5, -0.2], [1.0, 0.0, 2.0]]), np.array([[0.3, -0.4, 0.7]])
+
+
+def as_each_kind():
+    pendulum = sb.Pendulum()
+    linear = control.ss([[0, 1], [-2, -3]], [[0], [1]], np.eye(2), 0, name="linear")
+    return [
+        pendulum,
+        pendulum.to_nlsys(),
+        linear,
+        swing,
+        lambda x, u: [x[1], u[0] - 9.8 * math.cos(x[0])],
+        sb.as_system(pendulum),
+        unbatched,
+        transposing,
+        mixing,
+    ]
+
+
+@pytest.mark.parametrize("system", as_each_kind(), ids=lambda s: type(s).__name__)
+def test_batch_gives_what_its_columns_give(system):
+    system = sb.as_system(system, X, U)
+    assert (system.n, system.m) == (2, 1)
+    for u in (U, U[:, 0]):
+        columns = [system.dynamics(X[:, k], u if u.ndim == 1 else u[:, k]) for k in range(3)]
+        np.testing.assert_allclose(system.dynamics(X, u), np.stack(columns, axis=1), rtol=1e-13)
+
+
+@pytest.mark.parametrize("function", [unbatched, transposing, mixing])
+def test_function_that_cannot_take_a_batch_is_called_by_columns(function):
+    assert not sb.as_system(function, X, U).batched
+    assert sb.as_system(swing, X, U).batched
+
+
+def test_python_control_system_is_never_called_with_a_batch():
+    assert not sb.as_system(sb.Pendulum().to_nlsys()).batched
+
+
+def test_time_dependent_python_control_system_gets_the_time():
+    sys = control.nlsys(lambda t, x, u, params: [t * x[0]], states=1, inputs=1)
+    assert sb.as_system(sys).dynamics([2.0], [0.0], t=3.0) == 6.0
+
+
+@pytest.mark.parametrize(("dt", "discrete"), [(None, False), (0, False), (True, True), (0.1, True)])
+def test_timebase_of_a_function(dt, discrete):
+    system = sb.as_system(lambda x: x / 2, [1.0], dt=dt)
+    assert system.discrete is discrete and system.dt == dt
+
+
+def test_timebase_of_a_python_control_system_wins_or_is_contradicted():
+    sys = control.ss([[0.5]], [[1.0]], [[1.0]], 0, 0.1)
+    assert sb.as_system(sys).dt == 0.1
+    assert sb.as_system(sys, dt=0.1).discrete
+    for contradiction in (0.2, True, 0):
+        with pytest.raises(ValueError, match="contradicts the timebase"):
+            sb.as_system(sys, dt=contradiction)
+    with pytest.raises(ValueError, match="contradicts the timebase"):
+        sb.as_system(sb.Pendulum(), dt=0.1)
+
+
+def test_a_default_for_u_makes_it_optional():
+    def f(x, u=(0.0,)):
+        return [u[0] - x[0]]
+
+    assert sb.as_system(f, [1.0]).m == 0
+    assert sb.as_system(f, [1.0], [2.0]).dynamics([1.0], [5.0]) == 4.0
+
+
+def test_caller_arrays_stay_as_they_are():
+    def clip(x):
+        if x[0] > 1:
+            x[0] = 1  # only where the probe does not look
+        return -x
+
+    x = np.array([2.0])
+    sb.as_system(clip, [0.5]).dynamics(x)
+    assert x[0] == 2.0
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: sb.as_system("pendulum"), "must be a library model, a function"),
+        (lambda: sb.as_system(control.tf([1], [1, 1])), "state space"),
+        (lambda: sb.as_system(swing), "x0 is required"),
+        (lambda: sb.as_system(swing, [0, 0]), "u0 is required"),
+        (lambda: sb.as_system(lambda x: x, [0, 0], [1]), "takes x alone"),
+        (lambda: sb.as_system(lambda x, u, t: x, [0, 0], [1]), "3 required arguments"),
+        (lambda: sb.as_system(lambda x: x, [np.nan]), "x0 must be finite"),
+        (lambda: sb.as_system(lambda x: x, [[[1.0]]]), r"x0 must have shape \(n,\)"),
+        (lambda: sb.as_system(lambda x: x, [1.0], dt=-0.1), "dt must be"),
+        (lambda: sb.as_system(lambda x: x.__imul__(2), [1.0]), "changed one in place"),
+        (lambda: sb.as_system(swing, [0, 0], [0]).dynamics([0, 0, 0]), "x must have shape"),
+        (lambda: sb.as_system(swing, [0, 0], [0]).dynamics([0, 0], [1, 2]), "u must have shape"),
+        (lambda: sb.as_system(lambda x: x[:1], [0, 0]).dynamics([0, 0]), r"got \(1,\), at x"),
+        (lambda: sb.as_system(lambda x: x / 0 * 1j, [1]).dynamics([1]), "must be finite"),
+        (lambda: sb.as_system(lambda x: None, [1]).dynamics([1]), "array of numbers"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_bad_input_is_refused_by_name(make, message):
+    with pytest.raises((TypeError, ValueError), match=message):
+        make()
+
+
+def test_function_with_a_memory_is_refused():
+    calls = []
+
+    def counting(x):
+        calls.append(1)
+        return x * len(calls)
+
+    with pytest.raises(ValueError, match="part of the state"):
+        sb.as_system(counting, [1.0])
