@@ -164,8 +164,10 @@ def environment():
     One thread each, as notebooks run side by side; and no MPLBACKEND, which would keep
     figures out of executed notebooks.
     """
-    env = {name: value for name, value in os.environ.items() if name != "MPLBACKEND"}
-    return dict({"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}, **env, PYTHONUTF8="1")
+    threads = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    env = {**threads, **os.environ, "PYTHONUTF8": "1"}
+    env.pop("MPLBACKEND", None)
+    return env
 
 
 def watch(arguments, log_file, status):

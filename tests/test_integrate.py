@@ -6,9 +6,10 @@ from math import factorial
 
 import numpy as np
 import pytest
-import statebook as sb
 from hypothesis import given
 from hypothesis import strategies as st
+
+import statebook as sb
 from statebook.integrate import METHODS, amplification_matrix, stability_function
 
 EXPLICIT = ("euler", "midpoint", "heun", "rk4", "dopri5")
@@ -299,13 +300,15 @@ def test_integration_can_be_interrupted(split, dt, t0, method):
     assert np.array_equal(np.concatenate([xa, xb[1:]]), xs)
 
 
-def test_a_function_that_works_in_place_does_no_harm():
+@pytest.mark.parametrize("method", ALL)
+def test_a_function_that_works_in_place_does_no_harm(method):
     def f(x, t):
         x *= -1
         return x
 
-    _, xs = sb.integrate_euler(f, [1.0], 2, 0.5)
-    assert xs[:, 0].tolist() == [1.0, 0.5, 0.25]
+    _, harmed = sb.integrate(f, [1.0, 2.0], 3, 0.5, method=method)
+    _, plain = sb.integrate(lambda x, t: -x, [1.0, 2.0], 3, 0.5, method=method)
+    assert np.array_equal(harmed, plain)
 
 
 # --- failures

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyArrowPatch
+
 from statebook.regression.figures import digest
 from statebook.regression.outputs import Tolerance, figures_differences
 from statebook.regression.summary import difference, summarize

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 import scipy
-import statebook as sb
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
+import statebook as sb
 from statebook.simulate import simulate
 
 SOLVERS = ("RK45", "RK23", "DOP853", "Radau", "BDF", "LSODA")
@@ -235,10 +236,12 @@ def test_policies_of_batches(policy, N):
     assert many.controls.shape == (1, N, 201)
 
 
-def test_policy_that_subtracts_a_target_from_a_square_batch():
+@pytest.mark.parametrize("x0", [[[0.0, 0.3], [0.0, 0.2]], np.zeros((2, 2))])
+def test_policy_that_subtracts_a_target_from_a_square_batch(x0):
     # (2, 2) - (2,) subtracts the target from rows, not from columns: it must be called alone.
+    # At the origin that makes no difference yet.
     goal = np.array([1.0, 0.0])
-    x0 = np.array([[0.0, 0.3], [0.0, 0.2]])
+    x0 = np.array(x0)
     many = simulate(double_integrator, x0, lambda x, t: -((x - goal) @ [2.0, 1.0]), duration=2.0)
     closed = scipy.linalg.expm(2 * np.array([[0.0, 1.0], [-2.0, -1.0]]))
     assert np.allclose(many.states[..., -1].T, (closed @ (x0.T - goal).T).T + goal, atol=1e-7)
@@ -331,6 +334,26 @@ def test_a_control_that_stops_being_finite():
     with pytest.raises(sb.DivergenceError, match=r"u\(x, t\) is not finite at t = 1") as caught:
         simulate(double_integrator, [0.0, 0.0], lambda x, t: np.sqrt(1 - t), duration=2.0)
     assert caught.value.time == pytest.approx(1, abs=1e-6)
+
+
+@pytest.mark.parametrize("bad", [lambda x, t: np.nan, lambda x, t: 1.0 / (t - t)])
+def test_a_control_that_fails_at_a_sample(bad):
+    def policy(x, t):
+        return bad(x, t) if t >= 1 else 1.0
+
+    with pytest.raises(sb.DivergenceError, match=r"stopped at t = 1, .* 3 of 5 samples") as caught:
+        simulate(double_integrator, [0, 0], policy, times=np.linspace(0, 2, 5), method="euler")
+    assert caught.value.trajectory.controls is None
+    assert caught.value.trajectory.states[1].tolist() == [0, 0.5, 1]
+
+
+@pytest.mark.parametrize("method", [*SOLVERS, "rk4"])
+def test_dynamics_that_are_not_finite_after_a_switch(method):
+    u = sb.ControlTrajectory.piecewise_constant([0, 1, 2], [4, -4])
+    with pytest.raises(sb.DivergenceError, match="dynamics are not finite at t = 1") as caught:
+        simulate(lambda x, u: np.sqrt(u), [0.0], u, times=[0, 0.5, 1, 2], method=method)
+    assert caught.value.time == 1
+    assert np.allclose(caught.value.trajectory.states, [[0, 1, 2]], rtol=1e-6)
 
 
 def test_a_python_overflow_is_a_divergence():

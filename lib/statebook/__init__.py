@@ -44,6 +44,7 @@ _MODULE_OF = {
         "stability": (
             "Mode StabilityReport critical_step distance_to_instability eigenvalue_map stability"
         ),
+        "sweep": "sweep",
         "systems": "System as_system",
         "timescale": "Path TimedPath time_scale",
         "trajectory": "Trajectory",

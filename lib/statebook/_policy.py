@@ -43,11 +43,18 @@ def as_policy(u: Any, m: int, x0: np.ndarray, t0: float) -> Policy:
         value = _shaped("u", np.zeros(m) if u is None else _validate.real_array("u", u), m, batch)
         return lambda x, t: value
 
+    def call(x: np.ndarray, t: float, batch: tuple[int, ...]) -> np.ndarray:
+        try:
+            value = u(x.copy(), t)
+        except ArithmeticError:  # Python's numbers raise where NumPy's become infinite
+            value = np.full(m, np.nan)
+        return _shaped("u(x, t)", value, m, batch)
+
     def alone(x: np.ndarray, t: float) -> np.ndarray:
-        return _shaped("u(x, t)", u(x.copy(), t), m, ())
+        return call(x, t, ())
 
     def together(x: np.ndarray, t: float) -> np.ndarray:
-        return _shaped("u(x, t)", u(x.copy(), t), m, batch)
+        return call(x, t, batch)
 
     def one_by_one(x: np.ndarray, t: float) -> np.ndarray:
         return np.stack([alone(column, t) for column in x.T], axis=1)

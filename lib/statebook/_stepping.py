@@ -63,7 +63,7 @@ class Flow:
             else:
                 columns = zip(x.T, u.T, strict=True)
                 value = np.stack([system.rate(*column, t) for column in columns], axis=1)
-        except ArithmeticError as error:
+        except ArithmeticError as error:  # Python's numbers raise where NumPy's become infinite
             self.trouble = f"the dynamics failed at t = {t:.6g} ({error})"
             return nothing
         if value.shape != x.shape or value.dtype.kind not in "biuf":
@@ -146,6 +146,9 @@ def adaptive_steps(
         def rate(t: float, y: np.ndarray, policy: Policy = policy) -> np.ndarray:
             return flow(unflatten(y), policy, t).T.ravel()
 
+        # A solver that cannot choose its first step would look for it forever.
+        if not np.isfinite(rate(start, y)).all():
+            raise StoppedError(flow.trouble, start, unflatten(y))
         solver = getattr(scipy.integrate, method)(rate, start, y, end, **options)
         steps, mark = 0, start
         while solver.status == "running":

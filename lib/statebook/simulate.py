@@ -127,7 +127,7 @@ def simulate(
             for state in samples:
                 states.append(state)
         except StoppedError as stop:
-            known = _trajectory(system, times[: len(states)], states, policy)
+            known = _trajectory(system, times[: len(states)], states, policy, partial=True)
             raise DivergenceError(
                 f"simulation of {system.name} stopped at t = {stop.time:.6g}, x = "
                 f"{np.array2string(stop.state, precision=4, threshold=8)}: {stop}; "
@@ -174,12 +174,19 @@ def _check_start(system: System, x0: np.ndarray, u: np.ndarray, t: float) -> Non
             raise TypeError(f"{system.name} must return real numbers for real x, got complex ones")
 
 
-def _trajectory(system: System, times: Any, states: Any, policy: Policy) -> Trajectory:
-    controls = [policy(x, float(t)) for x, t in zip(states, times, strict=True)]
+def _trajectory(
+    system: System, times: np.ndarray, states: list, policy: Policy, *, partial: bool = False
+) -> Trajectory:
+    controls = None
+    if system.m:
+        values = [policy(x, float(t)) for x, t in zip(states, times, strict=True)]
+        controls = np.stack(values, axis=-1)
+        if partial and not np.isfinite(controls).all():
+            controls = None  # the control is what stopped the simulation
     return Trajectory(
         times,
         np.stack(states, axis=-1),
-        np.stack(controls, axis=-1) if system.m else None,
+        controls,
         state_labels=system.states,
-        input_labels=system.inputs if system.m else None,
+        input_labels=None if controls is None else system.inputs,
     )

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from statebook import _validate
+from statebook.angles import wrap_angle
 from statebook.control_trajectory import ControlTrajectory, increasing, interval_of, within
 from statebook.systems import as_system
 
@@ -162,7 +163,7 @@ class Trajectory:
         s = (t - self.times[k]) / step
         rise = end - start
         for i in self.circle:
-            rise[i] -= 2 * np.pi * np.round(rise[i] / (2 * np.pi))
+            rise[i] = wrap_angle(rise[i])
         if kind == "linear":
             value = start + s * rise
         else:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -95,6 +95,7 @@ class PD:
         object.__setattr__(self, "target", _validate.real_array("target", self.target))
         at_rest = np.concatenate([self.target, np.zeros(system.m)])
         loop = as_system(lambda x: system.dynamics(x, self._unlimited(x)), at_rest)
+        loop = replace(loop, linear=system.linear)
         _require_stable(loop, at_rest, f"the gains kp = {kp:g}, kd = {kd:g}")
 
     def _unlimited(self, x: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ from statebook.stability.judge import ASYMPTOTICALLY_STABLE, judge
 # The scan of sampled feedback: steps per period of the fastest living mode, growth of the step,
 # the decay after which a mode is dead, and the number of steps after which it gives up.
 _PER_PERIOD = 40
-_STEP_GROWTH = 0.02
+_STEP_GROWTH = 0.05
 _DEAD = 40.0
 _MAX_SCAN = 100_000
 # Modes this near, relatively, alias; a spectral radius this near 1 is 1 where they do.
@@ -52,7 +52,7 @@ def critical_sample_time(A: Any, B: Any, K: Any) -> float:
     Notes
     -----
     The condition is transcendental, so this is a search: the spectral radius is scanned with
-    steps of 2 % of h, and of 1/40 of the period of the fastest oscillation in A that has not
+    steps of 5 % of h, and of 1/40 of the period of the fastest oscillation in A that has not
     died out, and its first crossing of 1 is bracketed and solved to rounding; the sample times
     at which two lasting modes alias are looked at by themselves. A window of instability
     narrower than a step can escape. A stable A is scanned until exp(h A) has died

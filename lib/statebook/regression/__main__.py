@@ -8,8 +8,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from statebook.regression.execute import keep_agreeing, read, run_all, write
-
 
 def _positive(text: str) -> float:
     value = float(text)
@@ -83,15 +81,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
             parser.error(f"two files are named {repeated[0]}; use one --output-dir for each")
         options.output_dir.mkdir(parents=True, exist_ok=True)
 
+    # Only now: Jupyter's packages take a second to load, too long for --help.
+    from statebook.regression.execute import keep_agreeing, read, run_all, write
+
     def copy(path: Path, nb: Any) -> str:
         write(nb, options.output_dir / path.name)
         return "executed"
 
     def replace(path: Path, nb: Any) -> str:
-        changed = [] if options.all else keep_agreeing(read(path), nb)
-        if not write(nb, path):
-            return "unchanged"
-        return f"rewritten, new outputs: {', '.join(changed) or 'all'}"
+        changed, kept = (["all"], []) if options.all else keep_agreeing(read(path), nb)
+        outcome = "rewritten" if write(nb, path) else "unchanged"
+        if changed and outcome == "rewritten":
+            outcome += f", new outputs: {', '.join(changed)}"
+        if kept:
+            outcome += (
+                f" (kept {', '.join(kept)}: within the tolerance, or another style of the same "
+                "figure; --all replaces them)"
+            )
+        return outcome
 
     failed = run_all(
         options.files,

@@ -16,7 +16,7 @@ import nbformat
 from jupyter_client.kernelspec import KernelSpec, KernelSpecManager
 from jupyter_client.manager import AsyncKernelManager
 from nbclient import NotebookClient
-from nbclient.exceptions import CellExecutionError, CellTimeoutError, DeadKernelError
+from nbclient.exceptions import CellExecutionError, CellTimeoutError
 
 from statebook.regression.figures import MIME_TYPE
 from statebook.regression.normalize import normalize
@@ -105,7 +105,7 @@ def write(nb: Any, path: Path) -> bool:
     return True
 
 
-def keep_agreeing(stored: Any, nb: Any) -> list[str]:
+def keep_agreeing(stored: Any, nb: Any) -> tuple[list[str], list[str]]:
     """Give the cells of an executed notebook their stored outputs where they agree.
 
     So a run on another machine, with other last digits and other picture bytes, changes
@@ -122,9 +122,11 @@ def keep_agreeing(stored: Any, nb: Any) -> list[str]:
     -------
     changed : list of str
         The cells with new outputs, as "In [3]".
+    kept : list of str
+        The cells whose outputs were kept although they are not the same.
     """
     normalize(stored)
-    changed = []
+    changed, kept = [], []
     for old, cell in zip(stored.cells, nb.cells, strict=True):
         if cell.cell_type != "code" or old.outputs == cell.outputs:
             continue
@@ -133,11 +135,12 @@ def keep_agreeing(stored: Any, nb: Any) -> list[str]:
         ):
             changed.append(f"In [{cell.execution_count}]")
         else:
+            kept.append(f"In [{cell.execution_count}]")
             cell["outputs"] = old.outputs
             for output in cell.outputs:
                 if output.output_type == "execute_result":
                     output["execution_count"] = cell.execution_count
-    return changed
+    return changed, kept
 
 
 def _bare_pictures(cell: Any) -> list[Any]:
@@ -182,7 +185,6 @@ async def execute(nb: Any, folder: Path, timeout: float) -> None:
         nb,
         timeout=timeout,
         record_timing=False,
-        store_widget_state=False,
         resources={"metadata": {"path": str(folder)}},
         on_notebook_start=started,
         on_cell_execute=entered,
@@ -196,9 +198,11 @@ async def execute(nb: Any, folder: Path, timeout: float) -> None:
         raise NotebookError(f"{position}: {error.ename}: {error.evalue}") from error
     except CellTimeoutError as error:
         raise NotebookError(f"{position}: took longer than {timeout:g} s") from error
-    except (DeadKernelError, RuntimeError, OSError) as error:
+    except Exception as error:
+        # A dead kernel, or a fault in what talks to it: this notebook's alone in any case.
         where = position or "before the first cell"
-        raise NotebookError(f"{where}: the kernel failed: {error}") from error
+        name = type(error).__name__
+        raise NotebookError(f"{where}: the kernel failed: {name}: {error}") from error
     for index, cell in enumerate(nb.cells):
         tagged = "raises-exception" in cell.metadata.get("tags", [])
         if tagged and not any(output.output_type == "error" for output in cell.outputs):

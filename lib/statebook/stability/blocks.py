@@ -9,6 +9,7 @@ import numpy as np
 import scipy
 
 EPS = float(np.finfo(float).eps)
+TINY = float(np.finfo(float).tiny)
 # Differences in the units of states are undone up to this ratio; more is no choice of units.
 _UNIT_SPAN = 1e24
 

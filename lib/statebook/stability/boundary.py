@@ -7,10 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from statebook.stability.blocks import Block, assemble, rounding
+from statebook.stability.blocks import TINY, Block, assemble, rounding
 
 # A Jordan coupling this many times above rounding is beyond doubt.
 _CLEAR = 1e3
+# Eigenvalues farther apart than this, relative to the largest, are not one blurred eigenvalue.
+_BLUR = 1e-2
 
 
 @dataclass(frozen=True)
@@ -98,6 +100,29 @@ def _groups(T: np.ndarray, tol: float, discrete: bool) -> list[np.ndarray]:
     return [np.array(group) for group in groups]
 
 
+def sharpened(block: Block) -> np.ndarray:
+    """Eigenvalues of a block, those that rounding blurs into one another put at their mean.
+
+    A double eigenvalue comes out as two, sqrt(eps) apart, in a way that depends on the machine;
+    their mean does not.
+    """
+    values = np.diag(block.T).copy()
+    tol = tolerance(block, discrete=False)
+    near = np.abs(values[:, None] - values) <= _BLUR * np.abs(values).max()
+    links = np.zeros(near.shape, dtype=bool)
+    for i, j in zip(*np.nonzero(np.triu(near, 1)), strict=True):
+        links[i, j] = _linked(block.T, values[i], values[j], tol)
+    count, labels = scipy.sparse.csgraph.connected_components(links, directed=False)
+    for label in range(count):
+        members = labels == label
+        mean = complex(values[members].mean())
+        if np.isrealobj(block.matrix) and abs(mean.imag) <= 1e-3 * np.ptp(values[members].imag):
+            mean = complex(mean.real)
+        if members.sum() > 1:
+            values[members] = mean
+    return values
+
+
 def _linked(T: np.ndarray, start: complex, end: complex, tol: float) -> bool:
     """Whether the way from one point to another stays where rounding may put eigenvalues."""
     return all(_gap(T, start + t * (end - start)) <= tol for t in (1.0, 0.5, 0.25, 0.75))
@@ -143,12 +168,15 @@ def _leading(block: Block, members: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return T, Q
 
 
-def shared_jordan_points(A: np.ndarray, blocks: list[Block], found: list[Cluster]) -> list[complex]:
+def shared_jordan_points(
+    A: np.ndarray, blocks: list[Block], found: list[Cluster]
+) -> list[tuple[complex, bool]]:
     """Boundary points at which a coupling between blocks makes a Jordan block.
 
     The clusters are semisimple by themselves, so the null space of G = A - point I is as
     large as they are together if and only if the Schur complement
-    ``S = G_mm - G_mo G_oo^-1 G_om`` vanishes (m their directions, o all others).
+    ``S = G_mm - G_mo G_oo^-1 G_om`` vanishes (m their directions, o all others). It comes with
+    each point whether S is clearly more than rounding of the whole matrix.
     """
     points = []
     rest = [cluster for cluster in found if cluster.side == 0 and not cluster.defective]
@@ -156,12 +184,14 @@ def shared_jordan_points(A: np.ndarray, blocks: list[Block], found: list[Cluster
         first, *rest = rest
         group = [first] + [c for c in rest if abs(c.point - first.point) <= c.spread + first.spread]
         rest = [c for c in rest if not any(c is member for member in group)]
-        if len(group) > 1 and _coupled(A, blocks, group):
-            points.append(first.point)
+        strength = _coupling(A, blocks, group) if len(group) > 1 else 0.0
+        if strength > 0:
+            points.append((first.point, strength > rounding(1.0, len(A))))
     return points
 
 
-def _coupled(A: np.ndarray, blocks: list[Block], group: list[Cluster]) -> bool:
+def _coupling(A: np.ndarray, blocks: list[Block], group: list[Cluster]) -> float:
+    """Largest entry of S, relative to the norm of A; 0 if all are rounding of their own terms."""
     blocks = list(blocks)
     for cluster in group:
         block = blocks[cluster.block]
@@ -174,8 +204,10 @@ def _coupled(A: np.ndarray, blocks: list[Block], group: list[Cluster]) -> bool:
     home = np.searchsorted(start, m, side="right")
     G = T - group[0].point * np.eye(len(T))
     size = np.abs(Q).T @ np.abs(B) @ np.abs(Q)
-    inverse = scipy.linalg.solve_triangular(G[np.ix_(o, o)], np.eye(len(o)))
+    # An eigenvalue elsewhere that is blurred onto the point must not divide by zero.
+    inverse = scipy.linalg.solve_triangular(G[np.ix_(o, o)] + TINY * np.eye(len(o)), np.eye(len(o)))
     S = G[np.ix_(m, m)] - G[np.ix_(m, o)] @ inverse @ G[np.ix_(o, m)]
     bound = size[np.ix_(m, m)] + size[np.ix_(m, o)] @ np.abs(inverse) @ size[np.ix_(o, m)]
-    between = home[:, None] != home
-    return bool(np.any((np.abs(S) > rounding(1.0, len(T), blocks[0].precision) * bound) & between))
+    real = np.abs(S) > rounding(1.0, len(T), blocks[0].precision) * bound
+    entries = np.abs(S)[real & (home[:, None] != home)]
+    return float(entries.max(initial=0.0) / np.linalg.norm(B)) if len(entries) else 0.0

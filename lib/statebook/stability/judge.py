@@ -39,7 +39,8 @@ def is_discrete(dt: float | bool | None) -> bool:
 class Judgement:
     """A verdict on a matrix, before it is put in words and order.
 
-    `margin` is that of the worst eigenvalue: 0 on the boundary, inf if there is none.
+    `margin` is that of the worst eigenvalue: 0 on the boundary, inf if there is none. `doubt`
+    is whether rounding could change the verdict.
     """
 
     verdict: str
@@ -47,6 +48,7 @@ class Judgement:
     eigenvalues: np.ndarray
     participations: np.ndarray
     margin: float
+    doubt: bool = False
 
 
 def judge(
@@ -72,7 +74,9 @@ def judge(
         doubt = not np.any(certain & (margins < 0))
     elif margins[worst] == 0:
         shared = bd.shared_jordan_points(A, blocks, found)
-        jordan = shared + [cluster.point for cluster in found if cluster.defective]
+        jordan = [point for point, _ in shared]
+        jordan += [cluster.point for cluster in found if cluster.defective]
+        doubt = doubt or any(not clear for _, clear in shared)
         verdict = UNSTABLE if jordan else MARGINALLY_STABLE
         there = np.array(jordan) if jordan else values[margins == 0]
         listed = ", ".join(dict.fromkeys(show(z, values) for z in there[sorting(there)]))
@@ -93,7 +97,7 @@ def judge(
             " could change it, and the verdict is a best guess."
         )
     shares = _participations(A, blocks)
-    return Judgement(verdict, reason, values, shares, float(margins[worst]))
+    return Judgement(verdict, reason, values, shares, float(margins[worst]), doubt)
 
 
 def _locate(
@@ -101,7 +105,7 @@ def _locate(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the eigenvalues without their blur, their margins, and which are certain."""
     start = np.concatenate([[0], np.cumsum([len(block.index) for block in blocks])])
-    values = np.concatenate([np.diag(block.T) for block in blocks])
+    values = np.concatenate([bd.sharpened(block) for block in blocks])
     margins = bd.margin(values, discrete)
     certain = np.ones(len(values), dtype=bool)
     for cluster in found:

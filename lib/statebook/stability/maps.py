@@ -38,7 +38,7 @@ def eigenvalue_map(function: Callable[..., Any], *grids: Any) -> np.ndarray:
     ...     A = np.zeros((*k.shape, 2, 2))
     ...     A[..., 0, 1], A[..., 1, 0], A[..., 1, 1] = 1, -k, -c
     ...     return A
-    >>> eigenvalue_map(oscillator, [1.0, 4.0], [0.0]).imag.tolist()
+    >>> eigenvalue_map(oscillator, [1.0, 4.0], [0.0]).imag.round(9).tolist()
     [[[1.0, -1.0]], [[2.0, -2.0]]]
     """
     if not grids:

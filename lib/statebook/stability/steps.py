@@ -141,22 +141,32 @@ def _along(coefficients: np.ndarray, direction: complex) -> np.ndarray:
 def _positive_roots(coefficients: np.ndarray) -> list[float]:
     """Distinct positive real roots of a polynomial, ascending, refined by Newton's method."""
     polynomial = np.polynomial.Polynomial(coefficients)
-    slope = polynomial.deriv()
-    roots: list[float] = []
+    groups: list[list[float]] = []
     for root in sorted(polynomial.roots().astype(complex), key=lambda root: root.real):
         r = float(root.real)
         if r <= 0 or abs(root.imag) > _SAME_ROOT * r:
             continue
-        for _ in range(2):
-            if slope(r) != 0 and abs(polynomial(r) / slope(r)) < _SAME_ROOT * r:
-                r -= float(polynomial(r) / slope(r))
-        if not roots or r - roots[-1] > _SAME_ROOT * r:
-            roots.append(r)
+        if groups and r - groups[-1][-1] <= _SAME_ROOT * r:
+            groups[-1].append(r)
+        else:
+            groups.append([r])
+    roots = []
+    for group in groups:
+        # A root of multiplicity k is blurred, but it is a simple root of derivative k - 1.
+        simple = polynomial.deriv(len(group) - 1)
+        slope = simple.deriv()
+        r = float(np.mean(group))
+        for _ in range(3):
+            step = float(simple(r) / slope(r)) if slope(r) else 0.0
+            r -= step if abs(step) <= _SAME_ROOT * r else 0.0
+        roots.append(r)
     return roots
 
 
 def _grows(M: np.ndarray) -> bool:
-    return judge(M, discrete=True, check_distance=False).verdict == UNSTABLE
+    """Whether a computed matrix grows beyond doubt: a coupling of 1e-17 in it is rounding."""
+    judgement = judge(M, discrete=True, check_distance=False)
+    return judgement.verdict == UNSTABLE and not judgement.doubt
 
 
 def _of_partitioned(A: np.ndarray, rate: float) -> float:
@@ -199,7 +209,7 @@ def _of_partitioned(A: np.ndarray, rate: float) -> float:
 
 
 def _refined(h: float, A: np.ndarray, twice: np.ndarray) -> float:
-    """Newton's method on det(M(h) + I): where -1 is no eigenvalue the step is large, and not taken."""
+    """Newton's method on det(M(h) + I); where -1 is no eigenvalue its step is too large to take."""
     for _ in range(2):
         M = 2 * np.eye(len(A)) + h * A + h**2 * twice
         try:

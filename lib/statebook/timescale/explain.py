@@ -20,7 +20,9 @@ def explain(rows: Rows, grid: Grid, stuck: StuckError) -> InfeasiblePathError:
     w, x, c = rows.w[i], rows.x[i], rows.c[i]
     low, high = stuck.following
     count = len(w)
-    matrix = np.vstack([np.column_stack([w, x, -np.ones(count)]), [[1, 1, -1], [-1, -1, -1]]])
+    step = rows.step[i]
+    ahead = [[step, 1, -1], [-step, -1, -1]]
+    matrix = np.vstack([np.column_stack([w, x, -np.ones(count)]), ahead])
     bound = np.concatenate([-c, [high, -low]])
     fixed = (stuck.x, stuck.x) if stuck.x is not None else (0, None)
     result = scipy.optimize.linprog(

@@ -67,6 +67,52 @@ class Limit:
             return np.maximum(value / self.upper, value / self.lower)
         return 1 + np.maximum(value - self.upper, self.lower - value) / self.scale
 
+    def follow(
+        self, grid: Grid, z: np.ndarray, u: np.ndarray, x: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Find the bend that keeps the profile at a bound.
+
+        Parameters
+        ----------
+        grid : Grid
+        z : array
+            Left end, middle and right end: (0, 1/2, 1).
+        u, x : array, shape (3, N)
+            s'' and s'^2 there.
+
+        Returns
+        -------
+        use : array, shape (N,)
+            How much of its bound the row nearest to it uses in the middle.
+        bulge : array, shape (N,)
+            h^2 ds''/ds for which that row stays at its bound; not finite where none does.
+        """
+        a, b, c = self.terms(grid, z, x.max(axis=0))
+        interval = np.arange(x.shape[1])
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            if a is None:
+                bound = np.broadcast_to(self.squared_bounds(grid.path(z, 1)), b.shape[1:])
+                use = np.sqrt(b[1] * x[1, :, None] / bound)
+                row = use.argmax(axis=1)
+                wanted = bound[interval, row] / b[:, interval, row]
+                return use[interval, row], 2 * (wanted[0] + wanted[2]) - 4 * wanted[1]
+            c = np.zeros_like(b) if c is None else c
+            value = a[1] * u[1, :, None] + b[1] * x[1, :, None] + c[1]
+            over, under = (value - self.upper) / self.scale, (self.lower - value) / self.scale
+            row = np.maximum(over, under).argmax(axis=1)
+            over, under = over[interval, row], under[interval, row]
+            bound = np.where(over >= under, self.upper[row], self.lower[row])
+            a, b, c = (term[:, interval, row] for term in (a, b, c))
+            wanted = (bound - b * x - c) / a
+            return 1 + np.maximum(over, under), grid.h * (wanted[2] - wanted[0])
+
+    def squared_bounds(self, slope: np.ndarray) -> np.ndarray:
+        """Return the bound on a square where p' has values or Bernstein coefficients slope.
+
+        slope is (K, N, dof); the result broadcasts to (N, R).
+        """
+        return self.upper**2
+
 
 class AccelerationLimit(Limit):
     """Joint accelerations p' u + p'' x."""
@@ -90,7 +136,6 @@ class VelocityLimit(Limit):
         return None, grid.path(z, 1) ** 2, None
 
     def squared_bounds(self, slope: np.ndarray) -> np.ndarray:
-        """Return the bound on q'^2 where p' has values or Bernstein coefficients (K, ..., R)."""
         upper, lower = self.upper**2, self.lower**2
         if np.array_equal(upper, lower):
             return upper
@@ -112,10 +157,6 @@ class SpeedLimit(Limit):
 
     def terms(self, grid: Grid, z: np.ndarray, speed: np.ndarray) -> Terms:
         return None, (grid.path(z, 1) ** 2).sum(axis=2, keepdims=True), None
-
-    def squared_bounds(self, slope: np.ndarray) -> np.ndarray:
-        """Return the bound on the squared norm."""
-        return self.upper**2
 
     def use(self, grid: Grid, z: np.ndarray, u: np.ndarray, x: np.ndarray) -> np.ndarray:
         return np.sqrt(self.values(grid, z, u, x)) / self.upper

@@ -16,14 +16,15 @@ from statebook.timescale.grid import Grid, lay_grid
 from statebook.timescale.limits import Limit, TorqueLimit, kinematic_limits
 from statebook.timescale.path import Path
 from statebook.timescale.profile import Profile
+from statebook.timescale.refine import refine
 from statebook.timescale.stages import MARGIN, StuckError, fastest_profile, stage_rows
 from statebook.timescale.timed_path import TimedPath
 
 _COARSE = 48  # intervals of the first grid
 _PASSES = 8
 _INTERVALS = 20000  # no grid is refined beyond this
+_LARGEST_MARGIN = 1e-5  # by which controllable sets are narrowed against rounding
 _CONVERGENCE = 3.0  # a refinement divides the gap to the optimum by at least 1 + this
-_LOOK = np.array([0.02, 0.25, 0.5, 0.75, 0.98])  # where in an interval slack is looked for
 
 
 def time_scale(
@@ -117,7 +118,7 @@ def _refined(limits: Sequence[Limit], grid: Grid, tolerance: float) -> tuple[Pro
     profile = _solved(limits, grid, np.zeros(len(scale)), scale)
     gap = np.inf
     for _ in range(_PASSES):
-        grid, curvature, scale = _refine(limits, profile, tolerance)
+        grid, curvature, scale = refine(limits, profile, tolerance)
         before, profile = profile.duration, _solved(limits, grid, curvature, scale)
         gap = abs(before - profile.duration) / profile.duration / _CONVERGENCE
         if gap <= tolerance or len(scale) > _INTERVALS:
@@ -129,17 +130,19 @@ def _solved(
     limits: Sequence[Limit], grid: Grid, curvature: np.ndarray, scale: np.ndarray
 ) -> Profile:
     """Solve the stages, once more with a better scale where the first was far off."""
-    for _ in range(4):
+    margin = MARGIN
+    while True:
         try:
-            profile, _ = fastest_profile(limits, grid, curvature, scale)
+            profile = fastest_profile(limits, grid, curvature, scale, margin)
         except StuckError as stuck:
-            error = explain(stage_rows(limits, grid, curvature, scale), grid, stuck)
-            raise error from None
+            if margin < _LARGEST_MARGIN:  # it may have been rounding
+                margin *= 100
+                continue
+            raise explain(stage_rows(limits, grid, curvature, scale), grid, stuck) from None
         reach = profile.controllable[1, :, 0]
         if np.all((reach < 1e3 * scale) & (reach > 1e-3 * scale)):
-            break
+            return profile
         scale = reach
-    return profile
 
 
 def _first_scale(limits: Sequence[Limit], grid: Grid) -> np.ndarray:
@@ -166,53 +169,6 @@ def _first_scale(limits: Sequence[Limit], grid: Grid) -> np.ndarray:
         way = np.cumsum((2 * grid.h * rise)[inside][::-1])[::-1]
         scale[inside] = np.minimum(way, cap[inside])
     return scale
-
-
-def _refine(
-    limits: Sequence[Limit], profile: Profile, tolerance: float
-) -> tuple[Grid, np.ndarray, np.ndarray]:
-    """Split the intervals where time is lost, and bend the profile as its neighbours suggest.
-
-    On the fastest motion some limit is reached at every instant: time is lost where none is.
-    """
-    x, u = profile.x(_LOOK), profile.u(_LOOK)
-    use = np.max([limit.use(profile.grid, _LOOK, u, x).max(axis=2) for limit in limits], axis=0)
-    lost = np.diff(profile.times) * np.clip(1 - use, 0, 1).mean(axis=0)
-    allowed = tolerance * profile.duration / len(lost)
-    parts = np.clip(np.ceil(np.sqrt(lost / allowed)), 1, 4).astype(int)
-    grid, parent, left, right = profile.grid.split(parts)
-    bulge = profile.bulge[parent]
-
-    def inside(z: np.ndarray) -> np.ndarray:
-        chord = profile.x0[parent] * (1 - z) + profile.x1[parent] * z
-        return chord - bulge * z * (1 - z)
-
-    mean = np.maximum((inside(left) + inside(right)) / 2, 1e-300)
-    bend = _slopes(profile)[parent] * grid.h**2
-    scale = profile.controllable[1, parent, 0]
-    return grid, np.clip(bend / mean, -1.0, 1.0), scale
-
-
-def _slopes(profile: Profile) -> np.ndarray:
-    """Estimate ds''/ds in each interval by the smaller of the differences to its neighbours.
-
-    Zero where they disagree in sign: s'' jumps there from one limit to another.
-    """
-    grid = profile.grid
-    middle = grid.s + grid.h / 2
-    u = (profile.x1 - profile.x0) / (2 * grid.h)
-    if len(u) == 1:
-        return np.zeros(1)
-    slope = np.diff(u) / np.diff(middle)
-    before, after = np.append(slope[:1], slope), np.append(slope, slope[-1:])
-    for part in grid.sections:
-        if part.last - part.first == 1:
-            before[part.first] = after[part.first] = 0.0
-        else:
-            before[part.first] = after[part.first]
-            after[part.last - 1] = before[part.last - 1]
-    smaller = np.where(np.abs(before) < np.abs(after), before, after)
-    return np.where(before * after > 0, smaller, 0.0)
 
 
 def _within_limits(limits: Sequence[Limit], profile: Profile) -> Profile:

@@ -30,15 +30,19 @@ MARGIN = 1e-9  # of every limit, left to rounding
 _BLOCK = 24  # rows handed over at a time: toppra multiplies each block by a square matrix
 _FREE = 1e6  # bound on s'^2, in units of the scale, where nothing else binds it
 _NAN = float("nan")
-_FASTEST_LEFT = np.array([1e-9, -1.0])
+_FASTEST_LEFT = np.array([1e-9, -1.0])  # toppra minimizes this times (w, x)
 _SLOWEST_LEFT = np.array([-1e-9, 1.0])
-_FASTEST_RIGHT = np.array([-1.0, -1.0])
+_FASTEST_RIGHT = np.array([-1.0, 0.0])
 
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Inequalities w ŵ + x x̂ + c <= 0 of each interval, (N, M); labels name the columns."""
+    """Inequalities w ŵ + x x̂ + c <= 0 of each interval, (N, M); labels name the columns.
 
+    x̂ is s'^2 at the left end in units of the scale, x̂ + step ŵ at the right end.
+    """
+
+    step: np.ndarray
     w: np.ndarray
     x: np.ndarray
     c: np.ndarray
@@ -105,14 +109,21 @@ def _by_interval(values: np.ndarray) -> np.ndarray:
 
 
 def _normalized(w: np.ndarray, x: np.ndarray, c: np.ndarray, labels: list) -> Rows:
-    """Scale rows to unit gradient; a row that no motion in reach can violate says 0 <= 1."""
+    """Balance both unknowns, and scale rows to unit gradient, as the solver's tolerance needs.
+
+    A row that no motion in reach can violate says 0 <= 1. Steps are powers of two, for the solver
+    adds them up and takes differences again.
+    """
+    idle = np.hypot(w, x) * _FREE < -c
+    reach = ((np.abs(x) + np.abs(c)) / np.maximum(np.abs(w), 1e-30)).min(axis=1)
+    step = np.exp2(np.clip(np.round(np.log2(np.maximum(reach, 1e-30))), -20, 0))
+    w = w * step[:, None]
     size = np.hypot(w, x)
-    idle = size * _FREE < -c
     factor = 1 / np.where(idle | (size == 0), 1.0, size)
     factor[idle] = 0.0
     c = c * factor
     c[idle] = -1.0
-    return Rows(w * factor, x * factor, c, tuple(labels))
+    return Rows(step, w * factor, x * factor, c, tuple(labels))
 
 
 @cache
@@ -142,22 +153,30 @@ def _toppra() -> tuple[Any, Any]:
 
 
 def _stage_solver(rows: Rows) -> Callable:
-    """Return toppra's function for one stage, on a grid of steps 1/2: x_next = x + w."""
+    """Return toppra's function for one stage; its x_next = x + 2 delta w."""
     wrapper, block = _toppra()
-    count, columns = rows.w.shape
+    columns = rows.w.shape[1]
     last = np.zeros((1, columns))
     w, x, c = (np.concatenate([m, last]) for m in (rows.w, rows.x, rows.c))
     blocks = [
         block(*(np.ascontiguousarray(m[:, i : i + _BLOCK]) for m in (w, x, c)))
         for i in range(0, columns, _BLOCK)
     ]
-    return wrapper(blocks, None, np.arange(count + 1) / 2, True).solve_stagewise_optim
+    grid = np.append(0.0, np.cumsum(rows.step / 2))
+    return wrapper(blocks, None, grid, True).solve_stagewise_optim
 
 
 def fastest_profile(
-    limits: Sequence[Limit], grid: Grid, curvature: np.ndarray, scale: np.ndarray
-) -> tuple[Profile, Rows]:
+    limits: Sequence[Limit],
+    grid: Grid,
+    curvature: np.ndarray,
+    scale: np.ndarray,
+    margin: float = MARGIN,
+) -> Profile:
     """Solve all stages: backward the controllable sets, forward the fastest motion in them.
+
+    The controllable sets are narrowed by a margin for the solver's rounding, so that the forward
+    pass does not get stuck.
 
     Raises
     ------
@@ -169,18 +188,18 @@ def fastest_profile(
     floors = any(limit.kind == "torque" for limit in limits)
     sets = np.zeros((2, len(scale), 2))
     x = np.zeros((2, len(scale)))
-    units = scale.tolist()
+    units, steps = scale.tolist(), rows.step.tolist()
     for section in grid.sections:
-        low, high = _controllable(solve, section, units, floors)
-        _drive(solve, section, units, low, high, x)
+        low, high = _controllable(solve, section, units, floors, margin)
+        _drive(solve, section, units, steps, low, high, x)
         inside = slice(section.first, section.last)
         sets[0, inside] = np.stack([low[:-1], low[1:]], axis=1)
         sets[1, inside] = np.stack([high[:-1], high[1:]], axis=1)
-    return Profile(grid, x[0], x[1], curvature, sets), rows
+    return Profile(grid, x[0], x[1], curvature, sets)
 
 
 def _controllable(
-    solve: Callable, section: Section, units: list[float], floors: bool
+    solve: Callable, section: Section, units: list[float], floors: bool, margin: float
 ) -> tuple[list[float], list[float]]:
     """Return the lowest and highest s'^2 at each gridpoint that the end allows.
 
@@ -201,10 +220,10 @@ def _controllable(
         top = solve(stage, None, _FASTEST_LEFT, 0.0, _NAN, *following)[1]
         if not top >= 0:
             raise StuckError(stage, None, following)
-        high[i] = top * unit * (1 - MARGIN)
+        high[i] = top * unit * (1 - margin)
         if floors:
             bottom = max(solve(stage, None, _SLOWEST_LEFT, 0.0, _NAN, *following)[1], 0.0)
-            low[i] = min(bottom * unit * (1 + MARGIN), high[i])
+            low[i] = min(bottom * unit * (1 + margin), high[i])
     return low, high
 
 
@@ -212,14 +231,14 @@ def _drive(
     solve: Callable,
     section: Section,
     units: list[float],
+    steps: list[float],
     low: list[float],
     high: list[float],
     x: np.ndarray,
 ) -> None:
     """Fill in the fastest motion through a section: from each x the largest next one."""
     speed = high[0] if section.start is None else section.start
-    slack = 1e-6 * MARGIN
-    if not low[0] * (1 - slack) <= speed <= high[0] * (1 + 2 * MARGIN):
+    if not low[0] * (1 - 4 * MARGIN) <= speed <= high[0] * (1 + 4 * MARGIN):
         unit = units[section.first]
         raise StuckError(section.first, speed / unit, (low[1] / unit, high[1] / unit))
     for i in range(section.last - section.first):
@@ -230,7 +249,7 @@ def _drive(
         if w != w:
             raise StuckError(stage, here, (low[i + 1] / unit, high[i + 1] / unit))
         x[0, stage] = speed
-        speed = min(max(speed + w * unit, low[i + 1]), high[i + 1])
+        speed = min(max(speed + w * steps[stage] * unit, low[i + 1]), high[i + 1])
         x[1, stage] = speed
     if section.end is not None and speed < section.end * (1 - 1e-9):
         raise StuckError(section.last - 1, None, (section.end / units[section.last - 1],) * 2)

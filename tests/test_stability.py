@@ -1,0 +1,466 @@
+"""Verdicts, modes, distances and maps against matrices whose answers are known."""
+
+import control
+import numpy as np
+import pytest
+import scipy
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import statebook as sb
+
+STABLE, MARGINAL, UNSTABLE = "asymptotically stable", "marginally stable", "unstable"
+UNDECIDABLE = "undecidable in double precision"
+
+
+def jordan(eigenvalue, size, coupling=1.0):
+    return eigenvalue * np.eye(size) + coupling * np.eye(size, k=1)
+
+
+def blocks(*parts):
+    return scipy.linalg.block_diag(*parts)
+
+
+def companion(*coefficients):
+    """Companion matrix of s^n + c_1 s^(n-1) + ... + c_n."""
+    A = np.eye(len(coefficients), k=1)
+    A[-1] = -np.array(coefficients[::-1])
+    return A
+
+
+def oscillator(omega, damping=0.0):
+    return np.array([[0.0, 1.0], [-(omega**2), -2 * damping * omega]])
+
+
+def rotation(angle):
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+
+
+def orthogonal(n, seed):
+    return np.linalg.qr(np.random.default_rng(seed).normal(size=(n, n)))[0]
+
+
+def resonant(block):
+    """Two equal blocks, the second driving the first."""
+    return np.block([[block, np.eye(2)], [np.zeros((2, 2)), block]])
+
+
+def normal50(real):
+    parts = [[[real - k / 100, 1 + k], [-1 - k, real - k / 100]] for k in range(25)]
+    Q = orthogonal(50, 50)
+    return Q @ blocks(*parts) @ Q.T
+
+
+def kahan(n, angle=1.2):
+    s, c = np.sin(angle), np.cos(angle)
+    return np.diag(s ** np.arange(n)) @ (np.eye(n) - c * np.triu(np.ones((n, n)), 1))
+
+
+FREE_MASSES = np.array([[0, 0, 1, 0], [0, 0, 0, 1], [-1, 1, 0, 0], [1, -1, 0, 0.0]])
+
+CONTINUOUS = {
+    "scalar inside": ([[-1]], STABLE),
+    "scalar on": ([[0]], MARGINAL),
+    "scalar beyond": ([[1]], UNSTABLE),
+    "double integrator": (jordan(0, 2), UNSTABLE),
+    "triple integrator": (jordan(0, 3), UNSTABLE),
+    "two decoupled integrators": (np.zeros((2, 2)), MARGINAL),
+    "integrator and double integrator": (blocks([[0]], jordan(0, 2)), UNSTABLE),
+    "two double integrators": (blocks(jordan(0, 2), jordan(0, 2)), UNSTABLE),
+    "Jordan block inside": (jordan(-1, 3), STABLE),
+    "pure oscillator": (oscillator(1), MARGINAL),
+    "pure oscillator, irrational": (oscillator(3.3), MARGINAL),
+    "damped oscillator": ([[0, 1], [-10, -1]], STABLE),
+    "critically damped": (companion(2, 1), STABLE),
+    "negatively damped": (oscillator(2, -0.01), UNSTABLE),
+    "two different oscillators": (blocks(oscillator(1), oscillator(2)), MARGINAL),
+    "two equal oscillators": (blocks(oscillator(1), oscillator(1)), MARGINAL),
+    "resonance": (resonant(oscillator(1)), UNSTABLE),
+    "companion (s^2 + 1)^2": (companion(0, 2, 0, 1), UNSTABLE),
+    "companion (s^2 + 1)^3": (companion(0, 3, 0, 3, 0, 1), UNSTABLE),
+    "companion (s + 1)(s^2 + 1)": (companion(1, 1, 1), MARGINAL),
+    "companion (s + 1)(s + 2)(s + 3)": (companion(6, 11, 6), STABLE),
+    "companion (s + 1)^3": (companion(3, 3, 1), STABLE),
+    "companion s^2 (s + 1)": (companion(1, 0, 0), UNSTABLE),
+    "companion (s - 1)(s^2 + 1)": (companion(-1, 1, -1), UNSTABLE),
+    "integrator beside a Jordan block": (blocks(jordan(-1, 2), [[0]]), MARGINAL),
+    "two integrators, one through a lag": ([[0, 1, 0], [0, -1, 1], [0, 0, 0]], UNSTABLE),
+    "two integrators, paths that cancel": ([[0, 1, -1], [0, -1, 1], [0, 0, 0]], MARGINAL),
+    "heat exchange": ([[-2, 1, 1], [1, -2, 1], [1, 1, -2]], MARGINAL),
+    "free masses on a spring": (FREE_MASSES, UNSTABLE),
+    "lag driven by an oscillator": ([[0, 1, 0], [-1, 0, 0], [1, 0, -1]], MARGINAL),
+    "upper triangle of -1": (-np.triu(np.ones((6, 6))), STABLE),
+    "Hilbert matrix": (-scipy.linalg.hilbert(4), STABLE),
+    "normal 50 inside": (normal50(-1e-3), STABLE),
+    "normal 50 on": (normal50(0), MARGINAL),
+    "normal 50 beyond": (normal50(1e-3), UNSTABLE),
+    "complex scalar on": ([[1j]], MARGINAL),
+    "complex Jordan block on": (jordan(1j, 2), UNSTABLE),
+    "complex scalar inside": ([[-1 + 1j]], STABLE),
+}
+DISCRETE = {
+    "scalar inside": ([[0.5]], STABLE),
+    "scalar at 1": ([[1]], MARGINAL),
+    "scalar at -1": ([[-1]], MARGINAL),
+    "scalar beyond": ([[-1.01]], UNSTABLE),
+    "deadbeat": (jordan(0, 4), STABLE),
+    "Euler's map of x'' = -10 x - x'": ([[1, 0.1], [-1, 0.9]], MARGINAL),
+    "Jordan block of 2 at 1": (jordan(1, 2), UNSTABLE),
+    "Jordan block of 2 at -1": (jordan(-1, 2), UNSTABLE),
+    "Jordan block of 3 at 1": (jordan(1, 3), UNSTABLE),
+    "Jordan block inside": (jordan(0.5, 4), STABLE),
+    "identity": (np.eye(3), MARGINAL),
+    "rotation": (rotation(0.7), MARGINAL),
+    "two equal rotations": (blocks(rotation(0.7), rotation(0.7)), MARGINAL),
+    "resonant rotations": (resonant(rotation(0.7)), UNSTABLE),
+    "rotation drives another": (
+        np.block([[rotation(0.7), np.eye(2)], [np.zeros((2, 2)), rotation(0.9)]]),
+        MARGINAL,
+    ),
+    "cyclic shift": (np.roll(np.eye(5), 1, 0), MARGINAL),
+    "companion z^4 - 1": (companion(0, 0, 0, -1), MARGINAL),
+    "companion (z^2 - z + 1)^2": (companion(-2, 3, -2, 1), UNSTABLE),
+    "companion (z - 1)^2": (companion(-2, 1), UNSTABLE),
+    "companion (z - 1)^3": (companion(-3, 3, -1), UNSTABLE),
+    "Markov chain": ([[0.5, 0.5, 0], [0.25, 0.5, 0.25], [0, 0.5, 0.5]], MARGINAL),
+    "orthogonal inside": (0.99 * orthogonal(50, 1), STABLE),
+    "orthogonal": (orthogonal(50, 2), MARGINAL),
+    "orthogonal beyond": (1.01 * orthogonal(50, 3), UNSTABLE),
+}
+CASES = [
+    pytest.param(np.array(A), dt, verdict, id=f"{kind}: {name}")
+    for kind, cases, dt in (("continuous", CONTINUOUS, None), ("discrete", DISCRETE, 0.1))
+    for name, (A, verdict) in cases.items()
+]
+
+
+@pytest.mark.parametrize(("A", "dt", "verdict"), CASES)
+def test_known_verdicts_need_no_luck(A, dt, verdict):
+    report = sb.stability(A, dt=dt)
+    assert report.verdict == verdict
+    assert UNDECIDABLE not in report.reason
+
+
+def same_verdict_elsewhere(A, dt):
+    """The matrix in other coordinates, in which nothing about stability changes."""
+    n = len(A)
+    rng = np.random.default_rng(n)
+    yield A.T
+    order = rng.permutation(n)
+    yield A[np.ix_(order, order)]
+    for units in (
+        1e6 ** rng.integers(-1, 2, n),
+        10.0 ** rng.uniform(-6, 6, n),
+        1e6 ** np.arange(n) if n < 4 else 10.0 ** rng.uniform(-3, 3, n),
+    ):
+        scaled = A * units[:, None] / units
+        yield scaled
+        yield scaled.T
+        if dt is None:
+            yield 1e-9 * scaled
+    for seed in range(3):
+        Q = orthogonal(n, seed)
+        yield Q @ A @ Q.T
+    if dt is None:
+        for factor in (1e6, 1e-9, 2 * np.pi):
+            yield factor * A
+        yield 1e6 * (Q @ A @ Q.T)
+
+
+@pytest.mark.parametrize(("A", "dt", "verdict"), CASES)
+def test_verdict_does_not_depend_on_coordinates_or_units(A, dt, verdict):
+    for B in same_verdict_elsewhere(A, dt):
+        assert sb.stability(B, dt=dt).verdict == verdict
+
+
+def test_euler_map_on_the_circle_although_its_computed_radius_is_less():
+    A = np.array([[0.0, 1.0], [-10.0, -1.0]])
+    M = np.eye(2) + 0.1 * A
+    assert np.abs(np.linalg.eigvals(M)).max() != 1
+    report = sb.stability(M, dt=0.1)
+    assert report.verdict == MARGINAL
+    assert report.spectral_margin == 0
+
+
+def badly_scaled_jordan_block(eigenvalue):
+    units = np.array([1e6, 1e-6, 1e6])
+    Q = orthogonal(3, 5)
+    return Q @ (jordan(eigenvalue, 3) * units[:, None] / units) @ Q.T
+
+
+SHIFT = jordan(-1.0, 50, 10.0)
+
+
+@pytest.mark.parametrize(
+    "A",
+    [
+        SHIFT,
+        SHIFT.T,
+        orthogonal(50, 1) @ SHIFT @ orthogonal(50, 1).T,
+        -kahan(90),
+        -orthogonal(90, 1) @ kahan(90) @ orthogonal(90, 1).T,
+        badly_scaled_jordan_block(0.0),
+        badly_scaled_jordan_block(-1.0),
+        np.array([[-1.0, 1.0], [0.0, -1e-17]]),
+    ],
+    ids=["shift", "transposed", "rotated", "Kahan", "Kahan rotated", "J(0)", "J(-1)", "slow"],
+)
+def test_says_when_double_precision_cannot_decide(A):
+    report = sb.stability(A)
+    assert UNDECIDABLE in report.reason
+    if report.verdict == STABLE:
+        assert report.spectral_margin > 0
+
+
+def test_a_best_guess_uses_the_mean_of_a_blurred_cluster():
+    Q = orthogonal(50, 1)
+    rotated = Q @ SHIFT @ Q.T
+    assert np.linalg.eigvals(rotated).real.max() > 1
+    report = sb.stability(rotated)
+    assert report.verdict == STABLE
+    assert report.eigenvalues == pytest.approx(-np.ones(50), abs=1e-9)
+
+
+def test_an_instability_beyond_doubt_is_not_doubted():
+    report = sb.stability(blocks(SHIFT, [[1e-3]]))
+    assert report.verdict == UNSTABLE
+    assert UNDECIDABLE not in report.reason
+
+
+def test_decoupled_rates_do_not_disturb_each_other():
+    report = sb.stability(np.diag([-1e12, -1e-6]))
+    assert report.verdict == STABLE
+    assert UNDECIDABLE not in report.reason
+
+
+def test_empty_system_is_stable_vacuously():
+    report = sb.stability(np.zeros((0, 0)))
+    assert report.verdict == STABLE
+    assert report.eigenvalues.shape == (0,)
+    assert report.modes == ()
+    assert sb.distance_to_instability(np.zeros((0, 0))) == np.inf
+
+
+@given(
+    st.lists(st.floats(-3, -0.05), min_size=1, max_size=5),
+    st.sampled_from([-0.01, 0.0, 0.01]),
+    st.integers(0, 10_000),
+)
+@settings(max_examples=60, deadline=None)
+def test_random_similarity_keeps_the_verdict(inside, worst, seed):
+    values = np.array([*inside, worst])
+    V = np.random.default_rng(seed).normal(size=(len(values), len(values)))
+    V += 3 * np.sqrt(len(values)) * np.eye(len(values))
+    A = V @ np.diag(values) @ np.linalg.inv(V)
+    expected = {-0.01: STABLE, 0.0: MARGINAL, 0.01: UNSTABLE}[worst]
+    report = sb.stability(A)
+    assert report.verdict == expected
+    assert report.spectral_margin == pytest.approx(-worst, abs=1e-12)
+
+
+# Equilibria and systems
+
+
+def test_pendulum_by_the_indirect_method():
+    pendulum = sb.Pendulum(m=2.0, L=0.5, damping=0.1)
+    assert sb.stability(pendulum, x0=[-np.pi / 2, 0]).verdict == STABLE
+    assert sb.stability(pendulum, x0=[np.pi / 2, 0]).verdict == UNSTABLE
+
+
+def test_pendulum_held_horizontally_is_inconclusive():
+    pendulum = sb.Pendulum(m=2.0, L=0.5)
+    report = sb.stability(pendulum, x0=[0, 0], u0=[2.0 * 9.8 * 0.5])
+    assert report.verdict == "inconclusive"
+    assert "higher-order" in report.reason
+
+
+@pytest.mark.parametrize(
+    ("f", "n"),
+    [
+        (lambda x: -(x**3), 1),
+        (lambda x: x**3, 1),
+        (lambda x: np.array([x[1], -np.sin(x[0])]), 2),
+        (lambda x: np.array([-x[0] + x[1], -(x[1] ** 2)]), 2),
+        (lambda x: np.array([x[1], -x[0] - x[1] * abs(x[1])]), 2),
+    ],
+)
+def test_nonlinear_equilibrium_on_the_boundary_is_inconclusive(f, n):
+    assert sb.stability(f, x0=np.zeros(n)).verdict == "inconclusive"
+
+
+def test_linear_systems_are_never_inconclusive():
+    assert sb.stability(sb.Particle()).verdict == UNSTABLE
+    assert sb.stability(sb.Oscillator()).verdict == MARGINAL
+    assert sb.stability(control.ss([[0.0]], [[1]], [[1]], [[0]])).verdict == MARGINAL
+    assert sb.stability(control.ss([[1.0]], [[1]], [[1]], [[0]], dt=0.5)).verdict == MARGINAL
+
+
+def test_discrete_nonlinear_map():
+    def logistic(r):
+        return lambda x: r * x * (1 - x)
+
+    for r, verdict in ((2.9, STABLE), (3.0, "inconclusive"), (3.1, UNSTABLE)):
+        assert sb.stability(logistic(r), x0=[1 - 1 / r], dt=True).verdict == verdict
+
+
+# Modes
+
+
+def test_modes_of_a_damped_oscillator():
+    omega, zeta = 3.0, 0.2
+    report = sb.stability(oscillator(omega, zeta))
+    for mode in report.modes:
+        assert mode.damping == pytest.approx(zeta, rel=1e-12)
+        assert mode.frequency == pytest.approx(omega, rel=1e-12)
+        assert mode.time_constant == pytest.approx(1 / (zeta * omega), rel=1e-12)
+        assert mode.participation == pytest.approx([0.5, 0.5])
+    assert report.eigenvalues[0] == report.eigenvalues[1].conj()
+    assert report.eigenvalues[0].imag > 0
+
+
+def test_discrete_modes_are_those_of_the_sampled_system():
+    A, dt = blocks(oscillator(3.0, 0.2), [[-0.4]]), 0.25
+    continuous = sb.stability(A).modes
+    discrete = sb.stability(scipy.linalg.expm(A * dt), dt=dt).modes
+
+    def table(modes):
+        return sorted((m.frequency, m.damping, m.time_constant) for m in modes)
+
+    assert np.allclose(table(continuous), table(discrete), rtol=1e-9)
+
+
+def test_participation_tells_modes_apart_and_ignores_units():
+    A = np.array([[-1.0, 1e-3, 0], [0, -5.0, 0.1], [1e-3, 0, -20.0]])
+    units = np.array([1e6, 1.0, 1e-6])
+    shares = np.array([mode.participation for mode in sb.stability(A).modes])
+    assert np.argmax(shares, axis=1).tolist() == [0, 1, 2]
+    assert shares.sum(axis=1) == pytest.approx(np.ones(3))
+    scaled = sb.stability(A * units[:, None] / units).modes
+    assert np.array([mode.participation for mode in scaled]) == pytest.approx(shares, abs=1e-9)
+
+
+def test_report_reads_well():
+    text = repr(sb.stability(sb.Oscillator(stiffness=10.0, damping=1.0)))
+    assert text.splitlines()[0] == "asymptotically stable (spectral margin 0.5)"
+    assert "-0.5 + 3.122j  0.1581   3.162" in text
+    assert text.splitlines()[-1].endswith("p, v")
+    assert "-0 " not in repr(sb.stability(np.zeros((2, 2))))
+    assert "... and 38 more" in repr(sb.stability(SHIFT))
+
+
+# Distance to instability
+
+
+def test_distance_of_normal_matrices_is_that_of_the_spectrum():
+    assert sb.distance_to_instability(normal50(-0.25)) == pytest.approx(0.25, rel=1e-12)
+    assert sb.distance_to_instability(0.75 * orthogonal(20, 4), dt=1.0) == pytest.approx(0.25)
+
+
+@pytest.mark.parametrize("c", [0.1, 1.0, 30.0, 1e4])
+def test_distance_of_jordan_blocks_in_closed_form(c):
+    # sigma_min([[1, c], [0, 1]]) = (sqrt(c^2 + 4) - c) / 2, and no boundary point is nearer.
+    expected = 2 / (np.sqrt(c**2 + 4) + c)
+    assert sb.distance_to_instability(jordan(-1, 2, c)) == pytest.approx(expected, rel=1e-9)
+    assert sb.distance_to_instability(jordan(0, 2, c), dt=True) == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("dt", [None, 0.1])
+def test_distance_is_the_global_minimum_and_is_attained(seed, dt):
+    rng = np.random.default_rng(seed)
+    n = 6
+    A = rng.normal(size=(n, n)) + 2 * np.triu(rng.normal(size=(n, n)), 1)
+    if dt is None:
+        A -= (np.linalg.eigvals(A).real.max() + 0.1) * np.eye(n)
+        points = 1j * np.linspace(-15, 15, 6001)
+    else:
+        A *= 0.95 / np.abs(np.linalg.eigvals(A)).max()
+        points = np.exp(1j * np.linspace(0, 2 * np.pi, 6001))
+    distance = sb.distance_to_instability(A, dt=dt)
+    lowest, where = np.inf, 0j
+    for point in points:
+        s = np.linalg.svd(A - point * np.eye(n), compute_uv=False)[-1]
+        if s < lowest:
+            lowest, where = s, point
+    assert distance <= lowest * (1 + 1e-12)
+    assert distance == pytest.approx(lowest, rel=1e-3)
+    U, s, Vh = np.linalg.svd(A - where * np.eye(n))
+    moved = np.linalg.eigvals(A - s[-1] * np.outer(U[:, -1], Vh[-1]))
+    assert np.abs(moved - where).min() < 1e-9
+
+
+def test_distance_is_zero_without_asymptotic_stability():
+    for A in (jordan(0, 2), oscillator(1), [[1.0]]):
+        assert sb.distance_to_instability(A) == 0
+
+
+def test_distance_scales_with_time():
+    A = companion(6, 11, 6)
+    d = sb.distance_to_instability(A)
+    assert sb.distance_to_instability(1e6 * A) == pytest.approx(1e6 * d, rel=1e-9)
+    assert sb.distance_to_instability(1e-9 * A) == pytest.approx(1e-9 * d, rel=1e-9)
+
+
+# Maps
+
+
+def test_eigenvalue_map_agrees_with_the_quadratic_formula():
+    def matrices(k, c):
+        A = np.zeros((*k.shape, 2, 2))
+        A[..., 0, 1], A[..., 1, 0], A[..., 1, 1] = 1, -k, -c
+        return A
+
+    calls = []
+    stiffness, damping = np.linspace(0.5, 5, 7), np.linspace(-1, 6, 5)
+    values = sb.eigenvalue_map(lambda *p: calls.append(1) or matrices(*p), stiffness, damping)
+    assert len(calls) == 1
+    assert values.shape == (7, 5, 2)
+    k, c = np.meshgrid(stiffness, damping, indexing="ij")
+    root = np.sqrt(c**2 / 4 - k + 0j)
+    assert values[..., 0] == pytest.approx(-c / 2 + root)
+    assert values[..., 1] == pytest.approx(-c / 2 - root)
+
+
+def test_eigenvalue_map_explains_a_wrong_shape():
+    with pytest.raises(ValueError, match=r"shape \(3, n, n\), got \(2, 2, 3\)"):
+        sb.eigenvalue_map(lambda k: np.array([[0 * k, 1 + 0 * k], [-k, -k]]), [1.0, 2, 3])
+    with pytest.raises(ValueError, match="at least one vector"):
+        sb.eigenvalue_map(lambda: np.eye(2))
+    with pytest.raises(ValueError, match="finite"):
+        sb.eigenvalue_map(lambda k: k[:, None, None] * np.full((2, 2), np.nan), [1.0])
+
+
+# Bad input
+
+
+@pytest.mark.parametrize("function", [sb.stability, sb.distance_to_instability])
+@pytest.mark.parametrize(
+    ("A", "dt", "error", "message"),
+    [
+        (np.ones((2, 3)), None, ValueError, r"square matrix of shape \(n, n\), got \(2, 3\)"),
+        (np.ones(3), None, ValueError, "square"),
+        ([[np.nan]], None, ValueError, "finite"),
+        ([["a"]], None, TypeError, "numbers"),
+        ([[1.0]], -0.1, ValueError, "dt must be at least 0, got -0.1"),
+        ([[1.0]], np.nan, ValueError, "dt"),
+    ],
+)
+def test_bad_matrices_are_refused(function, A, dt, error, message):
+    with pytest.raises(error, match=message):
+        function(A, dt=dt)
+
+
+def test_bad_systems_are_refused():
+    continuous = control.ss([[-1.0]], [[1]], [[1]], [[0]])
+    discrete = control.ss([[0.5]], [[1]], [[1]], [[0]], dt=0.1)
+    for sys, dt in ((continuous, 0.1), (discrete, 0), (discrete, 0.2)):
+        with pytest.raises(ValueError, match="contradicts"):
+            sb.stability(sys, dt=dt)
+    with pytest.raises(ValueError, match="x0 is required"):
+        sb.stability(sb.Pendulum())
+    with pytest.raises(sb.NotAnEquilibriumError):
+        sb.stability(sb.Pendulum(), x0=[0.3, 0])
+    with pytest.raises(ValueError, match="x0"):
+        sb.stability(sb.Pendulum(), x0=[0.3, 0, 0])
+    with pytest.raises(ValueError, match="a matrix takes neither"):
+        sb.stability([[1.0]], x0=[0.0])
