@@ -150,7 +150,7 @@ def bar(doing):
     """Return a status function that draws the last '[3/18]' or '[ 50%]' of an output."""
 
     def status(log):
-        found = re.findall(r"\[ *(\d+)(?:/(\d+)|%)\] +(\S+)", log) or [(0, 1, "")]
+        found = re.findall(r"\[ *(\d+)(?:/(\d+)|%)\] +(\w\S*)", log) or [(0, 1, "")]
         done, total, name = found[-1]
         filled = 24 * int(done) // int(total or 100)
         return "%s [%s] %s" % (doing, ("#" * filled).ljust(24, "."), name)

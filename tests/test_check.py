@@ -53,6 +53,16 @@ def test_claim_that_does_not_hold_raises(value, expected, relation):
 
 
 @pytest.mark.parametrize(
+    ("relation", "message"), [("==", r"at \[1, 2\]: 9.0 == 0.0"), ("<", r"at \[1, 2\]: 9.0 < 0.0")]
+)
+def test_failure_of_a_large_array_names_its_worst_entry(relation, message):
+    value = np.zeros((2, 4))
+    value[1, 2] = 9.0
+    with pytest.raises(AssertionError, match=message):
+        check("a", value, 0.0, relation=relation)
+
+
+@pytest.mark.parametrize(
     ("arguments", "options", "message"),
     [
         ((np.nan, 1), {}, "must be finite"),

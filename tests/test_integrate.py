@@ -6,7 +6,7 @@ from math import factorial
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import statebook as sb
@@ -282,6 +282,7 @@ def test_a_number_is_a_state(method):
     assert np.allclose(xs, 2 * np.exp(-ts), rtol=1e-2)
 
 
+@settings(max_examples=40, deadline=None)
 @given(
     split=st.integers(0, 12),
     dt=st.sampled_from([0.125, 0.25, 0.5]),

@@ -224,6 +224,18 @@ def test_three_dimensional_axes():
     assert any("solid" in m for m in compare(figure(), figure(height=1.1)))
 
 
+def test_contour_labels_do_not_count():
+    def figure(width, values=PRODUCT):
+        ax = (figure := Figure(figsize=(width, 3))).subplots()
+        ax.clabel(ax.contour(X, Y, values, levels=[-0.3, 0.1, 0.4]))
+        return digest(figure)
+
+    plain = (other := Figure()).subplots()
+    plain.contour(X, Y, PRODUCT, levels=[-0.3, 0.1, 0.4])
+    assert compare(figure(3), figure(12)) == [] == compare(figure(3), digest(other))
+    assert any("contours 1, lengths" in m for m in compare(figure(3), figure(3, 1.1 * PRODUCT)))
+
+
 def test_other_kinds_of_figures():
     figure = Figure()
     top, bottom = figure.subfigures(2)

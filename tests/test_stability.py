@@ -123,9 +123,9 @@ DISCRETE = {
     "companion (z - 1)^2": (companion(-2, 1), UNSTABLE),
     "companion (z - 1)^3": (companion(-3, 3, -1), UNSTABLE),
     "Markov chain": ([[0.5, 0.5, 0], [0.25, 0.5, 0.25], [0, 0.5, 0.5]], MARGINAL),
-    "orthogonal inside": (0.99 * orthogonal(50, 1), STABLE),
-    "orthogonal": (orthogonal(50, 2), MARGINAL),
-    "orthogonal beyond": (1.01 * orthogonal(50, 3), UNSTABLE),
+    "orthogonal inside": (0.99 * orthogonal(20, 1), STABLE),
+    "orthogonal": (orthogonal(20, 2), MARGINAL),
+    "orthogonal beyond": (1.01 * orthogonal(20, 3), UNSTABLE),
 }
 CASES = [
     pytest.param(np.array(A), dt, verdict, id=f"{kind}: {name}")
@@ -155,10 +155,11 @@ def same_verdict_elsewhere(A, dt):
     ):
         scaled = A * units[:, None] / units
         yield scaled
-        yield scaled.T
-        if dt is None:
-            yield 1e-9 * scaled
-    for seed in range(3):
+        if n < 20:
+            yield scaled.T
+            if dt is None:
+                yield 1e-9 * scaled
+    for seed in range(3 if n < 20 else 1):
         Q = orthogonal(n, seed)
         yield Q @ A @ Q.T
     if dt is None:

@@ -4,7 +4,7 @@ import control
 import numpy as np
 import pytest
 import scipy
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -79,6 +79,7 @@ def test_bad_arguments(arguments, error, message):
 # --- interpolation
 
 
+@settings(max_examples=40, deadline=None)
 @given(states=arrays(float, (2, 5), elements=FINITE), t=st.floats(0, 4))
 def test_linear_interpolation_agrees_with_numpy(states, t):
     times = np.array([0, 0.5, 1, 3, 4])
@@ -86,6 +87,7 @@ def test_linear_interpolation_agrees_with_numpy(states, t):
     assert np.allclose(sb.Trajectory(times, states)(t), expected, rtol=1e-9, atol=1e-7)
 
 
+@settings(max_examples=40, deadline=None)
 @given(states=arrays(float, (2, 3, 4), elements=FINITE))
 def test_samples_are_exact_also_the_last(states):
     times = np.array([0.1, 0.2, 0.7, 1.1])
@@ -185,6 +187,7 @@ def test_angles_take_the_shorter_way_round():
     assert circle(2.0)[0] == 3.1
 
 
+@settings(max_examples=40, deadline=None)
 @given(
     angles=arrays(float, 6, elements=st.floats(-1.5, 1.5)),
     turns=arrays(int, 6, elements=st.integers(-2, 2)),
@@ -258,6 +261,7 @@ def test_control_space_restores_the_states(held):
 # --- exchange
 
 
+@settings(max_examples=40, deadline=None)
 @given(
     states=arrays(float, (2, 4), elements=st.floats(allow_nan=False, allow_infinity=False)),
     count=st.sampled_from([0, 3, 4]),
@@ -366,6 +370,7 @@ def test_forms_of_control():
     assert repr(spline) == "ControlTrajectory(m=1, 5 pieces of degree 3 over [0, 3] s)"
 
 
+@settings(max_examples=40, deadline=None)
 @given(coefficients=arrays(float, (3, 4, 2), elements=FINITE), t=arrays(float, 5, elements=FINITE))
 def test_control_agrees_with_ppoly(coefficients, t):
     breaks = np.array([-1e6, -3, 0, 2.5, 1e6])

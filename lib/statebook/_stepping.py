@@ -48,7 +48,7 @@ class Flow:
             raise
 
     def _evaluate(self, x: np.ndarray, policy: Policy, t: float) -> np.ndarray:
-        nothing = np.full(x.shape, np.nan)
+        nothing = np.nan * x
         if not np.isfinite(x).all():
             self.trouble = self.trouble or f"the state is not finite after t = {t:.6g}"
             return nothing

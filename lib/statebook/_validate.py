@@ -72,6 +72,18 @@ def real_array(name: str, value: Any, shape: tuple[int | None, ...] | None = Non
     return result
 
 
+def state_and_input(x: Any, u: Any, n: int, m: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return x, (n,) or (n, N), and u, (m,) or (m, N), as arrays; u None is zeros."""
+    x = array("x", x)
+    if x.ndim not in (1, 2) or x.shape[0] != n:
+        raise ValueError(f"x must have shape ({n},) or ({n}, N), got {x.shape}")
+    u = np.zeros(m) if u is None else array("u", u)
+    if u.shape not in ((m,), (m, *x.shape[1:])):
+        batch = f" or {(m, *x.shape[1:])}" if x.ndim == 2 else ""
+        raise ValueError(f"u must have shape {(m,)}{batch}, got {u.shape}")
+    return x, u
+
+
 def number(name: str, value: Any) -> float:
     """Return value as a finite real float."""
     if isinstance(value, bool | np.bool_) or not isinstance(value, numbers.Real | np.ndarray):

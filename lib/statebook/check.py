@@ -73,7 +73,9 @@ def check(
     }[relation]()
     tolerance = "" if exact or relation in "<>" else _tolerance(rtol, atol)
     if not holds:
-        raise AssertionError(f"{name}: {value} {relation} {expected} does not hold{tolerance}")
+        raise AssertionError(
+            f"{name}: {_worst(value, expected, relation)} does not hold{tolerance}"
+        )
     # What agrees is printed once, in the digits of the expectation: they are the stable ones.
     claim = _text(expected, 0.0)
     if relation != "==":
@@ -95,6 +97,17 @@ def _numbers(name: str, value: Any) -> np.ndarray:
     if result.size == 0:
         raise ValueError(f"{name}: nothing to compare, got an empty array")
     return result
+
+
+def _worst(value: Any, expected: Any, relation: str) -> str:
+    """Return the claim, of large arrays at the entry where it is farthest from holding."""
+    if np.size(value) <= 4 or relation == "differs":
+        return f"{value} {relation} {expected}"
+    value, expected = np.broadcast_arrays(value, expected)
+    excess = {"==": np.abs(value - expected), "<": value - expected, ">": expected - value}
+    index = np.unravel_index(np.argmax(excess[relation]), value.shape)
+    place = ", ".join(str(i) for i in index)
+    return f"at [{place}]: {value[index]} {relation} {expected[index]}"
 
 
 def _tolerance(rtol: float, atol: float) -> str:

@@ -76,6 +76,8 @@ def _column(f: Evaluate, z: np.ndarray, f0: np.ndarray, j: int) -> tuple[np.ndar
     """Return d f / d z_j and its error estimate, each (n, N)."""
     value, error, step, rate = _differences(f, z, f0, j)
     exact = _complex_step(f, z, j)
+    if exact is not None:  # what the step leaves of a zero derivative, as of x^3 at 0, is zero
+        exact = np.where(np.abs(exact) < _COMPLEX_STEP**0.5 * rate, 0.0, exact)
     if exact is not None and (np.abs(exact - value) <= 10 * error + 1e-8 * np.abs(exact)).all():
         return exact, np.zeros_like(exact)
     # A large first step is the more accurate one unless a kink lies within it.

@@ -35,15 +35,8 @@ class _Model:
     def _set(self, name: str, value: Any) -> None:
         object.__setattr__(self, name, value)  # how a frozen dataclass normalizes a field
 
-    def _arguments(self, x: Any, u: Any) -> tuple[np.ndarray, np.ndarray]:
-        n, m = len(self.states), len(self.inputs)
-        x = _validate.array("x", x)
-        if x.ndim not in (1, 2) or x.shape[0] != n:
-            raise ValueError(f"x must have shape ({n},) or ({n}, N), got {x.shape}")
-        u = np.zeros(m) if u is None else _validate.array("u", u)
-        if u.shape not in ((m,), (m, *x.shape[1:])):
-            raise ValueError(f"u must have shape {(m,)} or {(m, *x.shape[1:])}, got {u.shape}")
-        return x, u
+    def _arguments(self, x: Any, u: Any = None) -> tuple[np.ndarray, np.ndarray]:
+        return _validate.state_and_input(x, u, len(self.states), len(self.inputs))
 
     def dynamics(self, x: Any, u: Any = None) -> np.ndarray:
         """Evaluate x' = f(x, u).
@@ -145,7 +138,7 @@ class Particle(_Model):
 
     def energy(self, x: Any) -> np.ndarray:
         """Return the kinetic energy m |v|^2 / 2 [J], shape () or (N,)."""
-        x, _ = self._arguments(x, None)
+        x, _ = self._arguments(x)
         return self.m / 2 * (x[self.dim :] ** 2).sum(axis=0)
 
 
@@ -184,7 +177,7 @@ class Oscillator(_Model):
 
     def energy(self, x: Any) -> np.ndarray:
         """Return kinetic and elastic energy [J], shape () or (N,)."""
-        (p, v), _ = self._arguments(x, None)
+        (p, v), _ = self._arguments(x)
         return self.m * v**2 / 2 + self.stiffness * p**2 / 2
 
 
@@ -226,7 +219,7 @@ class Pendulum(_Model):
 
     def energy(self, x: Any) -> np.ndarray:
         """Return kinetic and potential energy [J], zero at rest on the x axis."""
-        (theta, omega), _ = self._arguments(x, None)
+        (theta, omega), _ = self._arguments(x)
         return self.m * self.L**2 * omega**2 / 2 + self.m * self.g * self.L * np.sin(theta)
 
 
@@ -285,7 +278,7 @@ class CartPole(_Model):
 
     def energy(self, x: Any) -> np.ndarray:
         """Return kinetic and potential energy [J], zero at rest with a level pole."""
-        (_, theta, v, omega), _ = self._arguments(x, None)
+        (_, theta, v, omega), _ = self._arguments(x)
         h = self.m_pole * self.L / 2
         kinetic = (
             (self.m_cart + self.m_pole) * v**2 / 2
@@ -445,7 +438,7 @@ class PlanarArm(_Model):
 
     def energy(self, x: Any) -> np.ndarray:
         """Return kinetic and potential energy [J], zero at rest stretched along +x."""
-        x, _ = self._arguments(x, None)
+        x, _ = self._arguments(x)
         m11, m12, m22 = self._mass_matrix(x[1])
         kinetic = m11 * x[2] ** 2 / 2 + m12 * x[2] * x[3] + m22 * x[3] ** 2 / 2
         heights = self.positions(x[:2])[:, 1]

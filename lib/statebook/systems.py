@@ -80,14 +80,7 @@ class System:
         >>> as_system(lambda x: -2 * x, [1.0]).dynamics([3.0])
         array([-6.])
         """
-        x = _validate.array("x", x)
-        if x.ndim not in (1, 2) or x.shape[0] != self.n:
-            raise ValueError(f"x must have shape ({self.n},) or ({self.n}, N), got {x.shape}")
-        u = np.zeros(self.m) if u is None else _validate.array("u", u)
-        if u.shape not in ((self.m,), (self.m, *x.shape[1:])):
-            raise ValueError(
-                f"u must have shape {(self.m,)} or {(self.m, *x.shape[1:])}, got {u.shape}"
-            )
+        x, u = _validate.state_and_input(x, u, self.n, self.m)
         if x.ndim == 1 or self.batched:
             return self._check(self.rate(x, u, t), x)
         columns = [self._check(self.rate(xk, uk, t), xk) for xk, uk in _columns(x, u)]

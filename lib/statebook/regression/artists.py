@@ -48,8 +48,9 @@ def artists_digest(owner: Any, *, xlog: bool = False, ylog: bool = False) -> lis
     for image in owner.images:
         if image.get_visible():
             found.append(_image(image))
+    placed = [t for c in getattr(owner, "collections", ()) for t in getattr(c, "labelTexts", ())]
     for text in owner.texts:
-        if text.get_visible() and text.get_text():
+        if text.get_visible() and text.get_text() and text not in placed:
             found.append(_text(text))
     return found
 
@@ -155,10 +156,17 @@ def _contours(artist: Any) -> dict[str, str]:
     """Length and centre of each level's curves: no matter where a curve starts."""
     import numpy as np
 
+    curves = [path.to_polygons(closed_only=False) for path in artist.get_paths()]
+    if artist.labelTexts:
+        # Labels cut the curves where there is room on paper: take them as computed.
+        lines = getattr(getattr(artist, "_contour_generator", None), "lines", None)
+        if lines is None:
+            return {}
+        curves = [lines(level)[0] for level in artist.levels]
     rows = []
-    for path in artist.get_paths():
+    for level in curves:
         total = np.zeros(3)
-        for points in path.to_polygons(closed_only=False):
+        for points in level:
             step = np.diff(points, axis=0)
             length = np.hypot(step[:, 0], step[:, 1])
             middle = (points[:-1] + points[1:]) / 2.0

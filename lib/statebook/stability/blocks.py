@@ -118,7 +118,8 @@ def with_comparable_couplings(A: np.ndarray, blocks: list[Block], discrete: bool
     equations = np.zeros((len(rows), len(blocks)))
     equations[np.arange(len(rows)), owner[rows]] += 1
     equations[np.arange(len(rows)), owner[columns]] -= 1
-    unit = np.linalg.lstsq(equations, target - logs, rcond=None)[0]
+    normal = equations.T @ equations, equations.T @ (target - logs)
+    unit = np.linalg.lstsq(*normal, rcond=None)[0]
     span = np.ptp(unit)
     if span > np.log(_UNIT_SPAN):
         unit *= np.log(_UNIT_SPAN) / span

@@ -125,7 +125,7 @@ def sharpened(block: Block) -> np.ndarray:
 
 def _linked(T: np.ndarray, start: complex, end: complex, tol: float) -> bool:
     """Whether the way from one point to another stays where rounding may put eigenvalues."""
-    return all(_gap(T, start + t * (end - start)) <= tol for t in (1.0, 0.5, 0.25, 0.75))
+    return all(_gap(T, start + t * (end - start)) <= tol for t in (0.5, 1.0, 0.25, 0.75))
 
 
 def _gap(T: np.ndarray, point: complex) -> float:

@@ -6,17 +6,16 @@ import numpy as np
 import scipy
 
 from statebook.errors import InfeasiblePathError
-from statebook.timescale.grid import Grid
-from statebook.timescale.stages import Rows, StuckError
+from statebook.timescale.stages import StuckError
 
 
-def explain(rows: Rows, grid: Grid, stuck: StuckError) -> InfeasiblePathError:
+def explain(stuck: StuckError) -> InfeasiblePathError:
     """Return the error that names the limit that cannot be met.
 
     At the interval that has no solution, the violation of all inequalities is made as small as it
     can be; the one with the largest multiplier is named.
     """
-    i = stuck.interval
+    grid, rows, i = stuck.grid, stuck.rows, stuck.interval
     w, x, c = rows.w[i], rows.x[i], rows.c[i]
     low, high = stuck.following
     count = len(w)
@@ -34,13 +33,12 @@ def explain(rows: Rows, grid: Grid, stuck: StuckError) -> InfeasiblePathError:
     name = limit.name(row, side)
     s = float(grid.s[i])
     if stuck.x is None:
-        reason = f"there is no speed at s = {s:.6g} from which the rest of the path can be driven"
+        reason = "no speed there lets the rest of the path be driven"
     else:
-        reason = (
-            f"at s = {s:.6g} the path is reached with a speed from which it cannot be continued"
-        )
+        reason = "there no motion that comes from the start can go on"
     return InfeasiblePathError(
-        f"the path cannot be driven within the limits: {reason}; the {name} stands in the way. "
+        f"the path cannot be driven within the limits: at s = {s:.6g} the {name} stands in the way; "
+        f"{reason}. "
         "Raise that limit, or change the path or the speeds at its ends",
         constraint=name,
         s=s,

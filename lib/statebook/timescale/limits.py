@@ -177,7 +177,7 @@ class TorqueLimit(Limit):
     def terms(self, grid: Grid, z: np.ndarray, speed: np.ndarray) -> Terms:
         p, p1, p2 = (grid.path(z, i) for i in range(3))
         shape = p.shape[:2]
-        x = np.broadcast_to(speed[:, None], (*shape, 1))
+        x = np.broadcast_to(np.where(speed > 0, speed, 1.0)[:, None], (*shape, 1))
         q, v, a, b = (
             np.moveaxis(y, -1, 0).reshape(p.shape[2], -1)
             for y in (p, p1 * np.sqrt(x), p1 * x, p2 * x)

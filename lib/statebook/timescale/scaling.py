@@ -17,13 +17,14 @@ from statebook.timescale.limits import Limit, TorqueLimit, kinematic_limits
 from statebook.timescale.path import Path
 from statebook.timescale.profile import Profile
 from statebook.timescale.refine import refine
-from statebook.timescale.stages import MARGIN, StuckError, fastest_profile, stage_rows
+from statebook.timescale.stages import MARGIN, StuckError, fastest_profile
 from statebook.timescale.timed_path import TimedPath
 
 _COARSE = 48  # intervals of the first grid
 _PASSES = 8
 _INTERVALS = 20000  # no grid is refined beyond this
 _LARGEST_MARGIN = 1e-5  # by which controllable sets are narrowed against rounding
+_SEARCH = 3000  # intervals of the finest grid on which a first solution is looked for
 _CONVERGENCE = 3.0  # a refinement divides the gap to the optimum by at least 1 + this
 
 
@@ -98,47 +99,107 @@ def time_scale(
     tolerance = _validate.positive("tolerance", tolerance)
     if torque is not None:
         limits.append(torque_limit(path, torque, inverse_dynamics))
-    if not any(limit.kind in ("acceleration", "torque") for limit in limits):
+    if not any(
+        limit.kind in ("acceleration", "torque")
+        and np.isfinite(np.concatenate([limit.lower, limit.upper])).any()
+        for limit in limits
+    ):
         raise ValueError(
             "give an acceleration or a torque limit: without one nothing bounds the acceleration, "
             "and the fastest motion starts with a jump"
         )
+    _check_speed(path, limits, path.s_start, "start_speed", start_speed)
+    _check_speed(path, limits, path.s_end, "end_speed", end_speed)
     grid, stops, skipped = lay_grid(path, start_speed, end_speed, _COARSE)
     if not grid.sections:
         empty = Profile(grid, *(np.zeros(0),) * 3, np.zeros((2, 0, 2)))
         return TimedPath(path, stops, skipped, 0.0, empty, tuple(limits))
-    profile, gap = _refined(limits, grid, tolerance)
-    profile = _within_limits(limits, profile)
+    try:
+        profile, gap = _refined(limits, grid, tolerance)
+        profile = _within_limits(limits, profile)
+    except StuckError as stuck:
+        raise explain(stuck) from None
     return TimedPath(path, stops, skipped, gap, profile, tuple(limits))
+
+
+def _check_speed(path: Path, limits: Sequence[Limit], s: float, name: str, speed: float) -> None:
+    """Refuse a speed at an end of the path that exceeds a velocity limit there."""
+    velocity = path(s, 1) * speed
+    for limit in limits:
+        if limit.squared:
+            value = velocity if limit.kind == "velocity" else np.array([np.hypot.reduce(velocity)])
+            use = np.maximum(value / limit.upper, value / limit.lower)
+            row = int(use.argmax())
+            if use[row] > 1 + MARGIN:
+                side = "upper" if value[row] > 0 else "lower"
+                raise InfeasiblePathError(
+                    f"{name} = {speed:g} must keep the limits: it uses {use[row]:.4g} times the "
+                    f"{limit.name(row, side)} at s = {s:g}",
+                    constraint=limit.name(row, side),
+                    s=s,
+                )
 
 
 def _refined(limits: Sequence[Limit], grid: Grid, tolerance: float) -> tuple[Profile, float]:
     """Solve and refine until the gap to the optimum is below the tolerance, by estimate."""
-    scale = _first_scale(limits, grid)
-    profile = _solved(limits, grid, np.zeros(len(scale)), scale)
+    profile, safe = _started(limits, grid)
     gap = np.inf
     for _ in range(_PASSES):
-        grid, curvature, scale = refine(limits, profile, tolerance)
-        before, profile = profile.duration, _solved(limits, grid, curvature, scale)
-        gap = abs(before - profile.duration) / profile.duration / _CONVERGENCE
-        if gap <= tolerance or len(scale) > _INTERVALS:
-            break
+        before, was_safe = profile.duration, safe
+        profile, safe = _solved(limits, *refine(limits, profile, tolerance))
+        if safe and was_safe:
+            gap = abs(before - profile.duration) / profile.duration / _CONVERGENCE
+            if gap <= tolerance or len(profile.x0) > _INTERVALS:
+                return profile, float(gap)
+    if not safe:
+        fastest_profile(limits, profile.grid, profile.curvature, profile.controllable[1, :, 0])
     return profile, float(gap)
+
+
+def _started(limits: Sequence[Limit], grid: Grid) -> tuple[Profile, bool]:
+    """Solve on the first grid, or on the finer one that a solution needs if there is one."""
+    scale = _first_scale(limits, grid)
+    while True:
+        try:
+            return _solved(limits, grid, np.zeros(len(scale)), scale)
+        except StuckError:
+            if len(scale) > _SEARCH:
+                raise
+        grid, parent, _, _ = grid.split(np.full(len(scale), 4))
+        scale = scale[parent]
 
 
 def _solved(
     limits: Sequence[Limit], grid: Grid, curvature: np.ndarray, scale: np.ndarray
+) -> tuple[Profile, bool]:
+    """Solve the stages; where no motion is safe on this grid, return a sketch of one.
+
+    The second result tells which: a sketch serves to refine the grid, on which then a safe motion
+    may exist.
+    """
+    try:
+        return _rescaled(limits, grid, curvature, scale, sketch=False), True
+    except StuckError:
+        return _rescaled(limits, grid, curvature, scale, sketch=True), False
+
+
+def _rescaled(
+    limits: Sequence[Limit],
+    grid: Grid,
+    curvature: np.ndarray,
+    scale: np.ndarray,
+    sketch: bool,
 ) -> Profile:
-    """Solve the stages, once more with a better scale where the first was far off."""
+    """Solve the stages, with a better scale or more room for rounding where it is needed."""
     margin = MARGIN
     while True:
         try:
-            profile = fastest_profile(limits, grid, curvature, scale, margin)
-        except StuckError as stuck:
-            if margin < _LARGEST_MARGIN:  # it may have been rounding
-                margin *= 100
-                continue
-            raise explain(stage_rows(limits, grid, curvature, scale), grid, stuck) from None
+            profile = fastest_profile(limits, grid, curvature, scale, margin, sketch)
+        except StuckError:
+            if margin > _LARGEST_MARGIN / 10:
+                raise
+            margin *= 100
+            continue
         reach = profile.controllable[1, :, 0]
         if np.all((reach < 1e3 * scale) & (reach > 1e-3 * scale)):
             return profile
@@ -149,15 +210,17 @@ def _first_scale(limits: Sequence[Limit], grid: Grid) -> np.ndarray:
     """Guess the size of s'^2 in each interval, from velocities and the way left to brake."""
     middle = np.array([0.25, 0.75])
     count = len(grid.h)
-    rise, cap = np.full(count, np.inf), np.full(count, np.inf)
-    with np.errstate(divide="ignore"):
-        for limit in limits:
-            a, b, _ = limit.terms(grid, middle, np.ones(count))
+    brake, cap = np.full(count, np.inf), np.full(count, np.inf)
+    for limit in limits:
+        a, b, _ = limit.terms(grid, middle, np.ones(count))
+        with np.errstate(divide="ignore"):
             if limit.squared:
                 cap = np.minimum(cap, (limit.scale**2 / np.abs(b)).min(axis=(0, 2)))
             elif a is not None:
-                rise = np.minimum(rise, (limit.scale / np.abs(a)).min(axis=(0, 2)))
-    bad = np.flatnonzero(~np.isfinite(rise))
+                bounded = np.isfinite(np.where(a > 0, limit.lower, limit.upper)) & (a != 0)
+                rate = np.where(bounded, limit.scale / np.abs(a), np.inf)
+                brake = np.minimum(brake, rate.min(axis=(0, 2)))
+    bad = np.flatnonzero(~np.isfinite(brake))
     if len(bad):
         raise ValueError(
             "the limits leave the acceleration along the path unbounded at s = "
@@ -166,7 +229,7 @@ def _first_scale(limits: Sequence[Limit], grid: Grid) -> np.ndarray:
     scale = np.empty(count)
     for part in grid.sections:
         inside = slice(part.first, part.last)
-        way = np.cumsum((2 * grid.h * rise)[inside][::-1])[::-1]
+        way = np.cumsum((2 * grid.h * brake)[inside][::-1])[::-1]
         scale[inside] = np.minimum(way, cap[inside])
     return scale
 
@@ -191,7 +254,7 @@ def _within_limits(limits: Sequence[Limit], profile: Profile) -> Profile:
         grid, parent, _, _ = profile.grid.split(np.where(use > 1, 2, 1))
         scale = profile.controllable[1, parent, 0]
         curvature = profile.curvature[parent] * (grid.h / profile.grid.h[parent]) ** 2
-        profile = _solved(limits, grid, curvature, scale)
+        profile = _rescaled(limits, grid, curvature, scale, sketch=False)
     worst = audit(profile, limits).worst
     raise InfeasiblePathError(
         f"the {worst.limit} of row {worst.row} could not be kept within its limit at s = "

@@ -50,20 +50,30 @@ class Rows:
 
 
 class StuckError(Exception):
-    """The stages have no solution from this interval on."""
+    """A stage has no solution: an interval, x̂ at its left end if given, the range after it."""
 
     def __init__(self, interval: int, x: float | None, following: tuple[float, float]) -> None:
         super().__init__(interval, x, following)
         self.interval, self.x, self.following = interval, x, following
+        self.grid: Grid
+        self.rows: Rows
 
 
 def stage_rows(
-    limits: Sequence[Limit], grid: Grid, curvature: np.ndarray, scale: np.ndarray
+    limits: Sequence[Limit],
+    grid: Grid,
+    curvature: np.ndarray,
+    scale: np.ndarray,
+    sketch: bool = False,
 ) -> Rows:
-    """Return the inequalities of all intervals, each of unit gradient."""
+    """Return the inequalities of all intervals, each of unit gradient.
+
+    For a sketch they are those of speeds at the ends of the intervals and of the other limits
+    in the middle: nearly right, and not on the safe side.
+    """
     ws, xs, cs, labels = [], [], [], []
     for limit in limits:
-        degree = limit.degree(grid)
+        degree = int(limit.squared) if sketch else limit.degree(grid)
         z = bernstein.nodes(degree)
         to_bernstein = bernstein.from_values(degree)
         a, b, c = limit.terms(grid, z, scale)
@@ -114,6 +124,7 @@ def _normalized(w: np.ndarray, x: np.ndarray, c: np.ndarray, labels: list) -> Ro
     A row that no motion in reach can violate says 0 <= 1. Steps are powers of two, for the solver
     adds them up and takes differences again.
     """
+    c = np.maximum(c, -1e300)  # an infinite bound
     idle = np.hypot(w, x) * _FREE < -c
     reach = ((np.abs(x) + np.abs(c)) / np.maximum(np.abs(w), 1e-30)).min(axis=1)
     step = np.exp2(np.clip(np.round(np.log2(np.maximum(reach, 1e-30))), -20, 0))
@@ -172,6 +183,7 @@ def fastest_profile(
     curvature: np.ndarray,
     scale: np.ndarray,
     margin: float = MARGIN,
+    sketch: bool = False,
 ) -> Profile:
     """Solve all stages: backward the controllable sets, forward the fastest motion in them.
 
@@ -183,15 +195,19 @@ def fastest_profile(
     StuckError
         No motion satisfies the limits.
     """
-    rows = stage_rows(limits, grid, curvature, scale)
+    rows = stage_rows(limits, grid, curvature, scale, sketch)
     solve = _stage_solver(rows)
     floors = any(limit.kind == "torque" for limit in limits)
     sets = np.zeros((2, len(scale), 2))
     x = np.zeros((2, len(scale)))
     units, steps = scale.tolist(), rows.step.tolist()
     for section in grid.sections:
-        low, high = _controllable(solve, section, units, floors, margin)
-        _drive(solve, section, units, steps, low, high, x)
+        try:
+            low, high = _controllable(solve, section, units, floors, margin)
+            _drive(solve, section, units, steps, low, high, x)
+        except StuckError as stuck:
+            stuck.grid, stuck.rows = grid, rows
+            raise
         inside = slice(section.first, section.last)
         sets[0, inside] = np.stack([low[:-1], low[1:]], axis=1)
         sets[1, inside] = np.stack([high[:-1], high[1:]], axis=1)
@@ -238,9 +254,9 @@ def _drive(
 ) -> None:
     """Fill in the fastest motion through a section: from each x the largest next one."""
     speed = high[0] if section.start is None else section.start
-    if not low[0] * (1 - 4 * MARGIN) <= speed <= high[0] * (1 + 4 * MARGIN):
-        unit = units[section.first]
-        raise StuckError(section.first, speed / unit, (low[1] / unit, high[1] / unit))
+    too_slow = speed < low[0] * (1 - 4 * MARGIN)
+    if too_slow or speed > high[0] * (1 + 4 * MARGIN):
+        raise _obstacle(solve, section, units, steps, speed, too_slow)
     for i in range(section.last - section.first):
         stage = section.first + i
         unit = units[stage]
@@ -251,5 +267,31 @@ def _drive(
         x[0, stage] = speed
         speed = min(max(speed + w * steps[stage] * unit, low[i + 1]), high[i + 1])
         x[1, stage] = speed
-    if section.end is not None and speed < section.end * (1 - 1e-9):
-        raise StuckError(section.last - 1, None, (section.end / units[section.last - 1],) * 2)
+    if section.end is not None and speed < section.end * (1 - 4 * MARGIN):
+        stage = section.last - 1
+        raise StuckError(stage, x[0, stage] / units[stage], (section.end / units[stage],) * 2)
+
+
+def _obstacle(
+    solve: Callable,
+    section: Section,
+    units: list[float],
+    steps: list[float],
+    speed: float,
+    too_slow: bool,
+) -> StuckError:
+    """Find the place where a start that is too slow or too fast becomes impossible.
+
+    A motion that tries to be fast, or slow, with no regard for what follows gets stuck there.
+    """
+    direction = _FASTEST_RIGHT if too_slow else -_FASTEST_RIGHT
+    for stage in range(section.first, section.last):
+        unit = units[stage]
+        here, following = speed / unit, (0.0, _FREE)
+        if stage == section.last - 1 and section.end is not None:
+            following = (section.end / unit, section.end / unit)
+        w = solve(stage, None, direction, here, here, *following)[0]
+        if w != w:
+            break
+        speed = max(speed + w * steps[stage] * unit, 0.0)
+    return StuckError(stage, here, following)
