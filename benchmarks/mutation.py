@@ -138,7 +138,9 @@ class Bench:
 
     def pytest(self, *arguments: str, timeout: float | None = None) -> str:
         """Outcome of a pytest run in the copy: "passed", "failed" or "timeout"."""
-        command = [sys.executable, "-B", "-m", "pytest", "-q", "-p", "no:cacheprovider"]
+        # The plugin loads the package before coverage starts; its warning would be an error.
+        quiet = "-Wignore::coverage.exceptions.CoverageWarning"
+        command = [sys.executable, "-B", "-m", "pytest", "-q", "-p", "no:cacheprovider", quiet]
         environment = {
             **os.environ,
             "PYTHONPATH": str(self.copy / "lib"),

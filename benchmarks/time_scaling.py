@@ -30,9 +30,8 @@ import statebook as sb
 SAMPLES = 200_000
 REPEATS = 3
 RAW_GRIDS = (None, 100, 1000)
-HEADER = (
-    f"{'case':26}{'dof':>4}{'violation':>11}{'gap %':>9}{'ms':>8}"
-    + "".join(f" | {name:>9}{'gap %':>9}{'ms':>7}" for name in ("raw auto", "raw 100", "raw 1000"))
+HEADER = f"{'case':26}{'dof':>4}{'violation':>11}{'gap %':>9}{'ms':>8}" + "".join(
+    f" | {name:>9}{'gap %':>9}{'ms':>7}" for name in ("raw auto", "raw 100", "raw 1000")
 )
 
 
@@ -119,7 +118,9 @@ def exact_violation(timed: sb.TimedPath, curve: PPoly, v: np.ndarray, a: np.ndar
     square = product(product(slope, slope), x)
     worst = -1.0
     for j in range(len(v)):
-        q2, q1 = (np.array([np.broadcast_to(m[j], h.shape) for m in p]) for p in (acceleration, slope))
+        q2, q1 = (
+            np.array([np.broadcast_to(m[j], h.shape) for m in p]) for p in (acceleration, slope)
+        )
         near = np.abs(q2).sum(axis=0) > 0.999 * np.abs(a[j]).min()
         for n in np.flatnonzero(near):
             values = polyval(extrema(np.array(derivative(list(q2[:, n])))), q2[:, n])

@@ -25,6 +25,7 @@ from statebook import check
         (np.ones(9), 1, "==", {}, "ok  a: 9 values, all 1 (rtol 1e-09)"),
         (np.arange(9), np.arange(9), "==", {}, "ok  a: 9 values of size 0 to 8 (rtol 1e-09)"),
         (-0.0, 0, "==", {}, "ok  a: 0 (rtol 1e-09)"),
+        (1.0, 1.01, "==", {"atol": 0.1}, "ok  a: 1.01 (atol 0.1)"),
     ],
 )
 def test_claim_that_holds_prints_one_line(capsys, value, expected, relation, tolerances, line):

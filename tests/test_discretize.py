@@ -215,13 +215,20 @@ def test_sampled_first_order_plants():
 
 
 def test_sample_time_at_which_modes_alias():
-    """At h = pi the oscillator x'' = -x + u cannot be controlled: exp(h A) = -I."""
-    A, B, K = [[0.0, 1.0], [-1.0, 0.0]], [[0.0], [1.0]], [[-0.5, 0.5]]
-    found = sb.critical_sample_time(A, B, K)
-    assert found <= np.pi
-    for h in np.linspace(0.01, 0.999, 100) * found:
+    """At h = pi an oscillator of 1 rad/s cannot be controlled: exp(h A) = -I in its states.
+
+    Around it the loop is stable, so that no crossing gives it away.
+    """
+    A = [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -0.7]]
+    B, K = [[0.5], [0.0], [-1.0]], [[0.0, 0.25, 0.1]]
+
+    def radius(h):
         Ad, Bd = sb.discretize_many(A, B, h)
-        assert np.abs(np.linalg.eigvals(Ad - Bd @ np.array(K))).max() < 1
+        return np.abs(np.linalg.eigvals(Ad - Bd @ np.array(K))).max()
+
+    assert all(radius(h) < 1 for h in [*np.linspace(0.05, 3.1, 50), 3.18])
+    assert radius(np.pi) == pytest.approx(1, abs=1e-12)
+    assert sb.critical_sample_time(A, B, K) == pytest.approx(np.pi, rel=1e-14)
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -37,6 +37,8 @@ SAME = {
     ),
     "number with a unit": ("T = 1.23400s, m = 2.0kg", "T = 1.23401s, m = 2.0kg"),
     "polynomial with a noisy term": ("s^2 + 1.0e-17 s + 1", "s^2 - 1.0e-17 s + 1"),
+    "positive exponent": ("1.50000001e10 2.5e+06j", "1.5e10 2.50000001e+06j"),
+    "a speed is no version": ("v = 1.50000001", "v = 1.5"),
     "address": ("<f at 0x7f1234>", "<f at 0x7f9876>"),
     "column of a table": ("a |  0.5 | -0.0", "a | 0.5 | 0.0"),
 }
@@ -59,7 +61,7 @@ DIFFERENT = {
     "time": ("12:30:01.5", "12:30:01.6"),
     "version": ("1.2.3", "1.2.4"),
     "short version": ("numpy 2.1", "numpy 2.2"),
-    "tag": ("v3.1", "v3.2"),
+    "tag": ("v3.1 2.0rc1", "v3.1 2.0rc2"),
     "identifier": ("x1.5 run_07", "x1.5 run_08"),
     "section": ("Section 13.2", "Section 13.3"),
     "word": ("stable", "unstable"),

@@ -390,6 +390,28 @@ def test_distance_is_the_global_minimum_and_is_attained(seed, dt):
     assert np.abs(moved - where).min() < 1e-9
 
 
+def test_distance_where_no_eigenvalue_points_to_it():
+    """The valleys of sigma_min lie away from the eigenvalues' frequencies 2 and -2, angles 1, -1.
+
+    In closed form: s1 s2 = abs(det) and s1^2 + s2^2 = sum of squares, for 2 x 2 matrices.
+    """
+
+    def lowest(A, points):
+        D = A - points[:, None, None] * np.eye(2)
+        det, total = np.abs(np.linalg.det(D)), (np.abs(D) ** 2).sum(axis=(1, 2))
+        return (det / np.sqrt((total + np.sqrt(total**2 - 4 * det**2)) / 2)).min()
+
+    line = np.linspace(-3, 3, 200_001)
+    A = np.array([[-1 + 2j, 50], [0, -1 - 2j]])
+    assert lowest(A, np.array([2j])) > 1.02 * lowest(A, 1j * line)
+    assert sb.distance_to_instability(A) == pytest.approx(lowest(A, 1j * line), rel=1e-8)
+    z = 0.5 * np.exp(1j)
+    A = np.array([[z, 50], [0, z.conj()]])
+    circle = np.exp(1j * line * np.pi / 3)
+    assert lowest(A, np.array([2 * z])) > 1.02 * lowest(A, circle)
+    assert sb.distance_to_instability(A, dt=0.1) == pytest.approx(lowest(A, circle), rel=1e-8)
+
+
 def test_distance_is_zero_without_asymptotic_stability():
     for A in (jordan(0, 2), oscillator(1), [[1.0]]):
         assert sb.distance_to_instability(A) == 0

@@ -26,7 +26,7 @@ _MODULE_OF = {
         "angles": "wrap_angle",
         "check": "check",
         "control_trajectory": "ControlTrajectory",
-        "controllers": "LQR PD PID SwingUp bang_bang simulate_clocked",
+        "controllers": ("LQR PD PID CartPoleSwingUp SwingUp bang_bang cart_force simulate_clocked"),
         "derivatives": "InexactDerivativeWarning",
         "discretize": "discretize discretize_many map_eigenvalues critical_sample_time",
         "errors": (

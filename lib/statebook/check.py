@@ -71,7 +71,7 @@ def check(
         "<": lambda: bool(np.all(value < expected)),
         ">": lambda: bool(np.all(value > expected)),
     }[relation]()
-    tolerance = "" if exact or relation in "<>" else _tolerance(rtol, atol)
+    tolerance = "" if exact or relation in "<>" else _tolerance(expected, rtol, atol)
     if not holds:
         raise AssertionError(
             f"{name}: {_worst(value, expected, relation)} does not hold{tolerance}"
@@ -110,9 +110,13 @@ def _worst(value: Any, expected: Any, relation: str) -> str:
     return f"at [{place}]: {value[index]} {relation} {expected[index]}"
 
 
-def _tolerance(rtol: float, atol: float) -> str:
-    parts = [f"{name} {size:g}" for name, size in (("rtol", rtol), ("atol", atol)) if size]
-    return f" ({', '.join(parts)})" if parts else " (exactly)"
+def _tolerance(expected: np.ndarray, rtol: float, atol: float) -> str:
+    """Return the tolerance that matters in words: the wider of the two."""
+    if rtol == atol == 0:
+        return " (exactly)"
+    if atol > rtol * float(np.max(np.abs(expected))):
+        return f" (atol {atol:g})"
+    return f" (rtol {rtol:g})"
 
 
 def _text(value: Any, floor: float) -> str:

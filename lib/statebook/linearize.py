@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     import control
 
 _TOLERANCE = 1e-8  # of a residual, against the size of f's terms
+_ROUNDING = 1e-12
 
 
 def jacobians(f: Any, x0: Any, u0: Any = None) -> tuple[np.ndarray, np.ndarray]:
@@ -82,7 +83,7 @@ class Equilibrium:
     ----------
     x, u : array, shape (n,) and (m,)
     residual : float
-        Largest abs(f(x, u)), or abs(f(x, u) - x) in discrete time, over the size of f's terms.
+        abs(f(x, u)), or abs(f(x, u) - x) in discrete time, over the size of f's terms.
     rank : int
         Rank of the problem: the number of unknowns that the equations determine.
     unknowns : int
@@ -166,15 +167,18 @@ def find_equilibrium(
     solution = _solve(residual, z[free])
     z[free] = _polish(system, z, free, solution)
     x, u = z[: system.n], z[system.n :]
-    size, relative = _judge(system, x, u)
-    if relative > _TOLERANCE:
+    size, allowed, scale = _judge(system, x, u)
+    if size > allowed:
+        guess, x_end, u_end = (
+            np.array2string(np.asarray(a), precision=4, threshold=8) for a in (x_guess, x, u)
+        )
         raise EquilibriumNotFoundError(
-            f"no equilibrium found from x_guess = {x_guess}: the search ended at"
-            f" x = {x}, u = {u} with a residual of {size:.3g};"
+            f"no equilibrium found from x_guess = {guess}: the search ended at x = {x_end},"
+            f" u = {u_end} with a residual of {size:.3g} against a scale of {scale:.3g};"
             " try another guess or leave more labels out of fixed"
         )
     J = _jacobian_of_residual(system, x, u)[:, free] * step_scale(z[free])
-    return Equilibrium(x, u, relative, _rank(J), int(free.size))
+    return Equilibrium(x, u, size / scale if size else 0.0, _rank(J), int(free.size))
 
 
 def linearize(system: Any, x0: Any, u0: Any = None) -> control.StateSpace:
@@ -221,12 +225,12 @@ def linearize(system: Any, x0: Any, u0: Any = None) -> control.StateSpace:
 
     system = as_system(system, x0, u0)
     x0, u0 = _point(system, x0, u0, batch=False)
-    size, relative = _judge(system, x0, u0)
-    if relative > _TOLERANCE:
+    size, allowed, scale = _judge(system, x0, u0)
+    if size > allowed:
         raise NotAnEquilibriumError(
             f"x0 is not an equilibrium: |f(x0, u0){' - x0' if system.discrete else ''}| ="
-            f" {size:.3g}, {relative:.1g} of the size of its terms; call find_equilibrium"
-            " first, or use jacobians for the affine model"
+            f" {size:.3g} against a scale of {scale:.3g}; call find_equilibrium first, or use"
+            " jacobians for the affine model"
         )
     A, B = jacobians(system, x0, u0)
     outputs, C, D = _output_map(system, x0, u0)
@@ -286,23 +290,24 @@ def _jacobian_of_residual(system: System, x: np.ndarray, u: np.ndarray) -> np.nd
     return J - np.eye(*J.shape) if system.discrete else J
 
 
-def _judge(system: System, x: np.ndarray, u: np.ndarray) -> tuple[float, float]:
-    """Return the largest residual, and the largest in units of the size of f's terms.
+def _judge(system: System, x: np.ndarray, u: np.ndarray) -> tuple[float, float, float]:
+    """Return the residual of the worst row, what is allowed there, and the size of its terms.
 
-    The size of row i is sum_j abs(J_ij z_j), to which what f_i reaches at displaced points
-    adds the rounding of terms that cancel. Both scale with the units of f_i.
+    The terms of row i are J_ij z_j, and what f_i reaches at displaced points. The former
+    allow a residual; of the latter only the rounding, as far away terms may be large. Both
+    scale with the units of f_i.
     """
     residual = np.abs(_residual(system, x, u))
     if not residual.any():
-        return 0.0, 0.0
+        return 0.0, 0.0, 0.0
     z = np.concatenate([x, u])
     displaced = z[:, None] + np.diag(0.1 * step_scale(z))
-    reach = np.abs(system.probe(displaced[: system.n], displaced[system.n :]))
+    values = np.abs(system.probe(displaced[: system.n], displaced[system.n :]))
+    reach = np.nan_to_num(values, posinf=0.0).max(axis=1, initial=0.0)
     terms = np.abs(_jacobian_of_residual(system, x, u)) @ np.abs(z)
-    size = terms + 1e-4 * np.nan_to_num(reach, posinf=0.0).max(axis=1, initial=0.0)
-    with np.errstate(divide="ignore"):
-        relative = np.where(residual > 0, residual / size, 0.0)
-    return float(residual.max()), float(relative.max())
+    allowed = _TOLERANCE * terms + _ROUNDING * reach
+    worst = np.argmax(np.where(residual > 0, residual / np.maximum(allowed, 1e-300), 0.0))
+    return float(residual[worst]), float(allowed[worst]), float(max(terms[worst], reach[worst]))
 
 
 def _solve(residual: Any, guess: np.ndarray) -> np.ndarray:

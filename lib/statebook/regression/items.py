@@ -65,6 +65,7 @@ class NotebookFile(IPyNbFile):
         os.environ["PYTHONHASHSEED"] = environment["PYTHONHASHSEED"] or "0"
         try:
             super().setup()
+            _improve(self.kernel)
         except Exception as error:
             self.problem = f"has no kernel: {type(error).__name__}: {error}"
         finally:
@@ -72,13 +73,14 @@ class NotebookFile(IPyNbFile):
                 os.environ.pop(name, None)
                 if value is not None:
                     os.environ[name] = value
-        if self.kernel is not None:
-            _improve(self.kernel)
 
     @property
     def shown_path(self) -> str:
         """The path as a reader in the invoking shell would write it."""
-        return os.path.relpath(self.path, self.config.invocation_params.dir)
+        try:
+            return os.path.relpath(self.path, self.config.invocation_params.dir)
+        except ValueError:  # on another drive
+            return str(self.path)
 
     @property
     def refresh_command(self) -> str:
@@ -98,6 +100,10 @@ def _improve(kernel: Any) -> None:
     """Run cells as Jupyter does, remember the replies, notice a dead kernel."""
     get_message = kernel.get_message
     kernel.last_status = None
+    # The history is what tells IPython of a semicolon; it need not end in the user's file.
+    if str(kernel.language).startswith("python"):
+        quiet = "get_ipython().history_manager.enabled = False"
+        kernel.await_idle(kernel.kc.execute(quiet, silent=True, store_history=False), 60)
 
     def execute_cell_input(source: str, allow_stdin: bool | None = None) -> str:
         # nbval leaves the history out, and with it what `;` at the end of a cell means.

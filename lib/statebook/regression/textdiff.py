@@ -21,14 +21,14 @@ _NUMBER = re.compile(
     r"""
     # Kept as text, digits and all: versions, section numbers, requirements, 1.2.3, 12:30:01.5
     (?P<exact>
-        \b(?i:version|release|python|numpy|scipy|matplotlib|v|section|chapter|figure|fig|table|eq)
-            [.]?[ =:]*\d+(?:\.\d+)+
+        \b(?i:version|release|python|numpy|scipy|matplotlib)[ =:]*\d+(?:\.\d+)+
+      | \b(?i:section|chapter|figure|fig|table|equation|eq)[.]?\ \d+(?:\.\d+)+
       | \b[A-Za-z][\w.-]*==\d[\w.]*
       | (?<![\w.])\d+(?:\.\d+){2,}\w*
       | (?<![\w.])\d+(?::\d+)+(?:\.\d+)?
       | (?<![\w.])0[xX][0-9A-Fa-f]+
       | (?<![\w.])\d[\w.]*_[\w.]*
-      | \d+(?:\.\d+)+[A-Za-z]+\d\w*
+      | \d+(?:\.\d+)+(?![eE]\d+j?\b)[A-Za-z]+\d\w*
       | \d+\.\d+\.[A-Za-z]\w*
     )
   | (?P<number>

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
-from statebook.stability.boundary import project
+from statebook.stability.boundary import margin, project
 
 # Level sets are taken this far below the best value, so that the sets are not empty by rounding.
 _BELOW = 1e-10
@@ -13,6 +13,8 @@ _BELOW = 1e-10
 # Too generous costs a few evaluations, too strict would miss a piece of the level set.
 _ON_BOUNDARY = 1e-6
 _MAX_ROUNDS = 50
+# The search starts opposite this many eigenvalues, the nearest.
+_STARTS = 8
 
 
 def boundary_distance(A: np.ndarray, discrete: bool, enough: float = 0.0) -> float:
@@ -29,15 +31,16 @@ def boundary_distance(A: np.ndarray, discrete: bool, enough: float = 0.0) -> flo
     # Powers of two: the units of time (or of the map) cancel without rounding.
     unit = 1.0 if discrete else float(np.exp2(np.round(np.log2(scale)))) if scale > 0 else 1.0
     A = A / unit
-    points = np.unique(project(np.linalg.eigvals(A), discrete))
-    best, where = _lowest(A, points)
+    eigenvalues = np.linalg.eigvals(A)
+    nearest = eigenvalues[np.argsort(margin(eigenvalues, discrete))[:_STARTS]]
+    best, where = _lowest(A, np.unique(project(nearest, discrete)))
     for _ in range(_MAX_ROUNDS):
         # Invariant: best = sigma_min at the boundary point `where`; the level is just below it.
         if unit * best <= enough:
             return unit * best
         crossings = _level_set(A, best * (1 - _BELOW), discrete)
         if len(crossings) == 0:
-            break
+            break  # certainly the minimum
         value, point = _lowest(A, _midpoints(crossings, discrete))
         if value >= best * (1 - _BELOW):
             break

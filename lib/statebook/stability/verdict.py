@@ -101,7 +101,7 @@ def stability(
 
 
 def _is_matrix(value: Any) -> bool:
-    return isinstance(value, np.ndarray | list | tuple | np.matrix) or np.isscalar(value)
+    return isinstance(value, np.ndarray | list | tuple) or np.isscalar(value)
 
 
 def _linear_part(

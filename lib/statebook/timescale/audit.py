@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from statebook.timescale import bernstein
-from statebook.timescale.limits import Limit, SpeedLimit, TorqueLimit, VelocityLimit
+from statebook.timescale.limits import Limit, TorqueLimit, VelocityLimit
 from statebook.timescale.profile import Profile
 
 _DENSE = 17  # points per interval at which torques are looked at
@@ -59,7 +59,7 @@ class Audit:
         """The limit that is used most."""
         return max(self.uses, key=lambda use: use.use)
 
-    def __iter__(self):
+    def __iter__(self) -> Iterator[Use]:
         return iter(self.uses)
 
     def __len__(self) -> int:
@@ -83,8 +83,8 @@ def audit(profile: Profile, limits: Sequence[Limit]) -> Audit:
     """
     uses: list[Use] = []
     for limit in limits:
-        use, interval, z = _sampled(profile, limit) if limit.kind == "torque" else _exact(
-            profile, limit
+        use, interval, z = (
+            _sampled(profile, limit) if limit.kind == "torque" else _exact(profile, limit)
         )
         for row in range(len(use)):
             i = int(interval[row])
@@ -108,12 +108,11 @@ def _exact(profile: Profile, limit: Limit) -> tuple[np.ndarray, np.ndarray, np.n
     to_bernstein = bernstein.from_values(degree)
     values = limit.values(profile.grid, z, profile.u(z), profile.x(z))
     coefficients = bernstein.along(to_bernstein, values)
-    if isinstance(limit, VelocityLimit):
+    sides: list[tuple[np.ndarray, np.ndarray | None]]
+    if isinstance(limit, VelocityLimit) and not np.array_equal(limit.upper, -limit.lower):
         slope = bernstein.along(to_bernstein, profile.grid.path(z, 1))
         sides = [(limit.upper**2, slope), (limit.lower**2, -slope)]
-        if np.array_equal(*(bound for bound, _ in sides)):
-            sides = [(limit.upper**2, None)]
-    elif isinstance(limit, SpeedLimit):
+    elif limit.squared:
         sides = [(limit.upper**2, None)]
     else:
         sides = [(limit.upper, None), (limit.lower, None)]
@@ -139,6 +138,4 @@ def static_torques_hold(profile: Profile, limits: Sequence[Limit]) -> bool:
     z = np.linspace(0, 1, _DENSE)
     rest = np.zeros((_DENSE, len(profile.x0)))
     torques = [limit for limit in limits if isinstance(limit, TorqueLimit)]
-    return all(
-        float(limit.use(profile.grid, z, rest, rest).max()) <= 1.0 for limit in torques
-    )
+    return all(float(limit.use(profile.grid, z, rest, rest).max()) <= 1.0 for limit in torques)

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from statebook.timescale.limits import TorqueLimit, bounds
+from statebook.timescale.bounds import bounds
+from statebook.timescale.limits import TorqueLimit
 from statebook.timescale.path import Path
 
 _SAMPLES = 5
@@ -67,7 +68,9 @@ def _vectorized(function: Callable, q: np.ndarray, slope: np.ndarray, rows: int)
         bad = ~np.isfinite(values).all(axis=0)
         if bad.any():
             at = q[:, np.flatnonzero(bad)[0]]
-            raise ValueError(f"inverse_dynamics must return finite torques; it does not at q = {at}")
+            raise ValueError(
+                f"inverse_dynamics must return finite torques; it does not at q = {at}"
+            )
         return values
 
     expected = one_by_one(q, slope, slope[::-1])

@@ -37,8 +37,8 @@ def explain(stuck: StuckError) -> InfeasiblePathError:
     else:
         reason = "there no motion that comes from the start can go on"
     return InfeasiblePathError(
-        f"the path cannot be driven within the limits: at s = {s:.6g} the {name} stands in the way; "
-        f"{reason}. "
+        f"the path cannot be driven within the limits: at s = {s:.6g} the {name} stands in the "
+        f"way; {reason}. "
         "Raise that limit, or change the path or the speeds at its ends",
         constraint=name,
         s=s,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ from statebook.timescale.path import Path, horner
 
 _CORNER = 1e-9  # a jump of p' by this part of its largest value is a corner
 _REST = 1e-11  # p' smaller than this part of its largest value is zero
-_ROUNDING = 1e-13  # a movement smaller than this part of the position is none
+_ROUNDING = 1e-13  # a movement, or a highest coefficient, this part of its scale is none
 
 
 class Section(NamedTuple):
@@ -94,13 +95,15 @@ def lay_grid(
         Intervals of s where nothing moves; they take no time.
     """
     coefficients, knots = path.curve.c, path.curve.x
-    while len(coefficients) > 2 and not coefficients[0].any():
-        coefficients = coefficients[1:]
     width = np.diff(knots)
     pieces = np.arange(len(width))
     sample = np.multiply.outer(np.linspace(0, 1, 2 * len(coefficients)), width)
     slope = horner(coefficients, pieces, sample, 1)
     largest = np.abs(slope).max(axis=(0, 1))
+    while len(coefficients) > 2 and np.all(
+        np.abs(coefficients[0]) * width[:, None] ** (len(coefficients) - 2) <= _ROUNDING * largest
+    ):
+        coefficients = coefficients[1:]  # a spline through points on a line, for instance
     size = np.abs(coefficients[-1]).max(axis=0)
     steps = np.abs(slope).max(axis=0) * width[:, None]
     moving = (steps > _ROUNDING * size + _ROUNDING * largest * (knots[-1] - knots[0])).any(axis=1)
@@ -114,7 +117,7 @@ def lay_grid(
     smooth[smooth] = ~corner[kept[:-1][smooth]]
     bounds = np.concatenate([[0], np.flatnonzero(~smooth) + 1, [len(kept)]])
     sections = []
-    for first, last in zip(bounds[:-1], bounds[1:], strict=True):
+    for first, last in pairwise(bounds):
         if first < last:
             start = None if rest_left[kept[first]] else 0.0
             end = None if rest_right[kept[last - 1]] else 0.0
@@ -124,9 +127,7 @@ def lay_grid(
     jumps = kept[1:][~smooth]  # sections begin at the left knots of these pieces
     calm = rest_right[kept[:-1][~smooth]] & rest_left[jumps]
     stops = tuple(float(s) for s in knots[jumps[~calm]])
-    coarse = Grid(
-        coefficients, knots, kept, np.zeros(len(kept)), width[kept], tuple(sections)
-    )
+    coarse = Grid(coefficients, knots, kept, np.zeros(len(kept)), width[kept], tuple(sections))
     parts = max(1, -(-intervals // max(len(kept), 1)))
     return coarse.split(np.full(len(kept), parts))[0], stops, _runs(knots, ~moving)
 

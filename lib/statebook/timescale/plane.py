@@ -21,23 +21,22 @@ def maximum_speeds(path: Path, limits: Sequence[Limit], s: np.ndarray) -> np.nda
     piece = np.clip(np.searchsorted(knots, s, side="right") - 1, 0, len(knots) - 2)
     grid = Grid(path.curve.c, knots, piece, s - knots[piece], np.zeros(len(s)), ())
     middle = np.zeros(1)
-    g, b, c = [], [], []
+    gs, bs, cs = [], [], []
     for limit in limits:
-        a1, b1, c1 = (
-            None if m is None else m[0] for m in limit.terms(grid, middle, np.ones(len(s)))
-        )
+        inertial, quadratic, static = limit.terms(grid, middle, np.ones(len(s)))
+        slope = quadratic[0]
         if limit.squared:
-            bound = np.broadcast_to(limit.squared_bounds(grid.path(middle, 1)), (1, *b1.shape))[0]
-            sides = [(1.0, np.sqrt(bound) ** 2)]
+            size = limit.scale**2
+            sides = [(1.0, limit.squared_bounds(grid.path(middle, 1)))]
         else:
-            shift = 0.0 if c1 is None else c1
+            size = limit.scale
+            shift = np.zeros_like(slope) if static is None else static[0]
             sides = [(1.0, limit.upper - shift), (-1.0, shift - limit.lower)]
         for sign, bound in sides:
-            size = np.broadcast_to(limit.scale ** (2 if limit.squared else 1), b1.shape)
-            g.append(np.zeros_like(b1) if a1 is None else sign * a1 / size)
-            b.append(sign * b1 / size)
-            c.append(np.broadcast_to(bound, b1.shape) / size)
-    g, b, c = (np.concatenate(m, axis=1) for m in (g, b, c))
+            gs.append(np.zeros_like(slope) if inertial is None else sign * inertial[0] / size)
+            bs.append(sign * slope / size)
+            cs.append(np.broadcast_to(bound / size, slope.shape))
+    g, b, c = (np.concatenate(parts, axis=1) for parts in (gs, bs, cs))
     highest = np.full(len(s), np.inf)
     with np.errstate(divide="ignore", invalid="ignore"):
         flat = np.abs(g) <= 1e-12 * np.abs(g).max(axis=0)

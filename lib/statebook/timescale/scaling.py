@@ -1,4 +1,4 @@
-"""The time scaling itself: solve, look where time is lost, refine there, solve again."""
+"""The time scaling itself."""
 
 from __future__ import annotations
 
@@ -10,22 +10,19 @@ import numpy as np
 from statebook import _validate
 from statebook.errors import InfeasiblePathError
 from statebook.timescale.audit import audit
+from statebook.timescale.bounds import kinematic_limits
 from statebook.timescale.dynamics import torque_limit
 from statebook.timescale.explain import explain
-from statebook.timescale.grid import Grid, lay_grid
-from statebook.timescale.limits import Limit, TorqueLimit, kinematic_limits
+from statebook.timescale.grid import lay_grid
+from statebook.timescale.limits import Limit, TorqueLimit
 from statebook.timescale.path import Path
 from statebook.timescale.profile import Profile
-from statebook.timescale.refine import refine
-from statebook.timescale.stages import MARGIN, StuckError, fastest_profile
+from statebook.timescale.rows import MARGIN
+from statebook.timescale.solve import PASSES, fastest, solve
+from statebook.timescale.stages import StuckError
 from statebook.timescale.timed_path import TimedPath
 
 _COARSE = 48  # intervals of the first grid
-_PASSES = 8
-_INTERVALS = 20000  # no grid is refined beyond this
-_LARGEST_MARGIN = 1e-5  # by which controllable sets are narrowed against rounding
-_SEARCH = 3000  # intervals of the finest grid on which a first solution is looked for
-_CONVERGENCE = 3.0  # a refinement divides the gap to the optimum by at least 1 + this
 
 
 def time_scale(
@@ -115,7 +112,7 @@ def time_scale(
         empty = Profile(grid, *(np.zeros(0),) * 3, np.zeros((2, 0, 2)))
         return TimedPath(path, stops, skipped, 0.0, empty, tuple(limits))
     try:
-        profile, gap = _refined(limits, grid, tolerance)
+        profile, gap = fastest(limits, grid, tolerance)
         profile = _within_limits(limits, profile)
     except StuckError as stuck:
         raise explain(stuck) from None
@@ -140,100 +137,6 @@ def _check_speed(path: Path, limits: Sequence[Limit], s: float, name: str, speed
                 )
 
 
-def _refined(limits: Sequence[Limit], grid: Grid, tolerance: float) -> tuple[Profile, float]:
-    """Solve and refine until the gap to the optimum is below the tolerance, by estimate."""
-    profile, safe = _started(limits, grid)
-    gap = np.inf
-    for _ in range(_PASSES):
-        before, was_safe = profile.duration, safe
-        profile, safe = _solved(limits, *refine(limits, profile, tolerance))
-        if safe and was_safe:
-            gap = abs(before - profile.duration) / profile.duration / _CONVERGENCE
-            if gap <= tolerance or len(profile.x0) > _INTERVALS:
-                return profile, float(gap)
-    if not safe:
-        fastest_profile(limits, profile.grid, profile.curvature, profile.controllable[1, :, 0])
-    return profile, float(gap)
-
-
-def _started(limits: Sequence[Limit], grid: Grid) -> tuple[Profile, bool]:
-    """Solve on the first grid, or on the finer one that a solution needs if there is one."""
-    scale = _first_scale(limits, grid)
-    while True:
-        try:
-            return _solved(limits, grid, np.zeros(len(scale)), scale)
-        except StuckError:
-            if len(scale) > _SEARCH:
-                raise
-        grid, parent, _, _ = grid.split(np.full(len(scale), 4))
-        scale = scale[parent]
-
-
-def _solved(
-    limits: Sequence[Limit], grid: Grid, curvature: np.ndarray, scale: np.ndarray
-) -> tuple[Profile, bool]:
-    """Solve the stages; where no motion is safe on this grid, return a sketch of one.
-
-    The second result tells which: a sketch serves to refine the grid, on which then a safe motion
-    may exist.
-    """
-    try:
-        return _rescaled(limits, grid, curvature, scale, sketch=False), True
-    except StuckError:
-        return _rescaled(limits, grid, curvature, scale, sketch=True), False
-
-
-def _rescaled(
-    limits: Sequence[Limit],
-    grid: Grid,
-    curvature: np.ndarray,
-    scale: np.ndarray,
-    sketch: bool,
-) -> Profile:
-    """Solve the stages, with a better scale or more room for rounding where it is needed."""
-    margin = MARGIN
-    while True:
-        try:
-            profile = fastest_profile(limits, grid, curvature, scale, margin, sketch)
-        except StuckError:
-            if margin > _LARGEST_MARGIN / 10:
-                raise
-            margin *= 100
-            continue
-        reach = profile.controllable[1, :, 0]
-        if np.all((reach < 1e3 * scale) & (reach > 1e-3 * scale)):
-            return profile
-        scale = reach
-
-
-def _first_scale(limits: Sequence[Limit], grid: Grid) -> np.ndarray:
-    """Guess the size of s'^2 in each interval, from velocities and the way left to brake."""
-    middle = np.array([0.25, 0.75])
-    count = len(grid.h)
-    brake, cap = np.full(count, np.inf), np.full(count, np.inf)
-    for limit in limits:
-        a, b, _ = limit.terms(grid, middle, np.ones(count))
-        with np.errstate(divide="ignore"):
-            if limit.squared:
-                cap = np.minimum(cap, (limit.scale**2 / np.abs(b)).min(axis=(0, 2)))
-            elif a is not None:
-                bounded = np.isfinite(np.where(a > 0, limit.lower, limit.upper)) & (a != 0)
-                rate = np.where(bounded, limit.scale / np.abs(a), np.inf)
-                brake = np.minimum(brake, rate.min(axis=(0, 2)))
-    bad = np.flatnonzero(~np.isfinite(brake))
-    if len(bad):
-        raise ValueError(
-            "the limits leave the acceleration along the path unbounded at s = "
-            f"{grid.s[bad[0]]:g}: bound the acceleration or torque of a joint that moves there"
-        )
-    scale = np.empty(count)
-    for part in grid.sections:
-        inside = slice(part.first, part.last)
-        way = np.cumsum((2 * grid.h * brake)[inside][::-1])[::-1]
-        scale[inside] = np.minimum(way, cap[inside])
-    return scale
-
-
 def _within_limits(limits: Sequence[Limit], profile: Profile) -> Profile:
     """Audit the profile; slow it down by the rounding that is left, split it for torques."""
     torques = [limit for limit in limits if isinstance(limit, TorqueLimit)]
@@ -243,7 +146,7 @@ def _within_limits(limits: Sequence[Limit], profile: Profile) -> Profile:
             for use in audit(profile, limits)
         )
         return profile.slower(factor * (1 + 1e-15)) if factor > 1 else profile
-    for _ in range(_PASSES):
+    for _ in range(PASSES):
         if audit(profile, limits).worst.use <= 1 + MARGIN:
             return profile
         z = np.linspace(0, 1, 17)
@@ -254,7 +157,7 @@ def _within_limits(limits: Sequence[Limit], profile: Profile) -> Profile:
         grid, parent, _, _ = profile.grid.split(np.where(use > 1, 2, 1))
         scale = profile.controllable[1, parent, 0]
         curvature = profile.curvature[parent] * (grid.h / profile.grid.h[parent]) ** 2
-        profile = _rescaled(limits, grid, curvature, scale, sketch=False)
+        profile = solve(limits, grid, curvature, scale, sketch=False)
     worst = audit(profile, limits).worst
     raise InfeasiblePathError(
         f"the {worst.limit} of row {worst.row} could not be kept within its limit at s = "

@@ -98,7 +98,7 @@ class TimedPath:
         """
         return self._derivative(t, 2)
 
-    def progress(self, t: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def progress(self, t: Any) -> tuple[Any, Any, Any]:
         """Return s, s' and s'' at times t.
 
         Parameters
@@ -115,8 +115,10 @@ class TimedPath:
             values = s, np.zeros(t.size), np.zeros(t.size)
         else:
             i, ds, speed, rate = self._profile.locate(np.atleast_1d(t))
-            values = self._profile.grid.s[i] + ds, speed, rate
-        return values if t.ndim else tuple(float(v[0]) for v in values)
+            s = np.clip(self._profile.grid.s[i] + ds, self.path.s_start, self.path.s_end)
+            values = s, speed, rate
+        s, sdot, sddot = values
+        return (s, sdot, sddot) if t.ndim else (float(s[0]), float(sdot[0]), float(sddot[0]))
 
     @cached_property
     def s(self) -> np.ndarray:
@@ -193,8 +195,10 @@ class TimedPath:
         """
         if _validate.positive("factor", factor) < 1:
             raise ValueError(f"factor must be at least 1, got {factor:g}")
-        if factor > 1 and self.duration > 0 and not static_torques_hold(
-            self._profile, self._limits
+        if (
+            factor > 1
+            and self.duration > 0
+            and not static_torques_hold(self._profile, self._limits)
         ):
             raise ValueError(
                 "the motion cannot be slowed down: somewhere on the path the load of the robot at "

@@ -1,0 +1,113 @@
+"""The linear inequalities of each interval of a grid.
+
+In an interval the unknowns are x = s'^2 at its left end and w, its increase to the right end,
+both divided by a scale. Values of a limit along the interval are polynomials whose Bernstein
+coefficients are affine in (w, x); as the polynomial lies between them, the inequalities for the
+coefficients make the limit hold everywhere, not at the gridpoints alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from statebook.timescale import bernstein
+from statebook.timescale.grid import Grid
+from statebook.timescale.limits import Limit
+
+MARGIN = 1e-9  # of every limit, left to rounding
+FREE = 1e6  # bound on s'^2, in units of the scale, where nothing else binds it
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Inequalities w ŵ + x x̂ + c <= 0 of each interval, (N, M); labels name the columns.
+
+    x̂ is s'^2 at the left end in units of the scale, x̂ + step ŵ at the right end.
+    """
+
+    step: np.ndarray
+    w: np.ndarray
+    x: np.ndarray
+    c: np.ndarray
+    labels: tuple[tuple[Limit, int, str], ...]
+
+
+def stage_rows(
+    limits: Sequence[Limit],
+    grid: Grid,
+    curvature: np.ndarray,
+    scale: np.ndarray,
+    sketch: bool = False,
+) -> Rows:
+    """Return the inequalities of all intervals, each of unit gradient.
+
+    For a sketch they are those of speeds at the ends of the intervals and of the other limits
+    in the middle: nearly right, and not on the safe side.
+    """
+    ws, xs, cs, labels = [], [], [], []
+    for limit in limits:
+        degree = int(limit.squared) if sketch else limit.degree(grid)
+        z = bernstein.nodes(degree)
+        to_bernstein = bernstein.from_values(degree)
+        a, b, c = limit.terms(grid, z, scale)
+        z = z[:, None]
+        rho = curvature / 2
+        # x(z) = scale (x x̂ + w ŵ) and s'' = scale (dx x̂ + dw ŵ)/(2 h), coefficients by z:
+        w = b * (scale * (z - rho * z * (1 - z)))[:, :, None]
+        x = b * (scale * (1 - 2 * rho * z * (1 - z)))[:, :, None]
+        if a is not None:
+            rate = scale / (2 * grid.h)
+            w += a * (rate * (1 - rho * (1 - 2 * z)))[:, :, None]
+            x += a * (rate * (-2 * rho * (1 - 2 * z)))[:, :, None]
+        w, x = bernstein.along(to_bernstein, w), bernstein.along(to_bernstein, x)
+        if limit.squared:
+            slope = bernstein.along(
+                bernstein.from_values(degree), grid.path(bernstein.nodes(degree), 1)
+            )
+            sides = [("upper", 1 / limit.squared_bounds(slope), np.full_like(w, -1.0))]
+        elif c is None:
+            sides = [
+                ("upper", 1 / limit.upper, np.full_like(w, -1.0)),
+                ("lower", 1 / limit.lower, np.full_like(w, -1.0)),
+            ]
+        else:
+            c = bernstein.along(to_bernstein, c)
+            sides = [
+                (side, sign / limit.scale, sign * (c - bound) / limit.scale)
+                for side, sign, bound in (("upper", 1, limit.upper), ("lower", -1, limit.lower))
+            ]
+        for side, factor, constant in sides:
+            ws.append(_by_interval(w * factor))
+            xs.append(_by_interval(x * factor))
+            cs.append(_by_interval(constant))
+            labels += [(limit, row, side) for _ in range(len(w)) for row in range(w.shape[2])]
+    return _normalized(
+        np.concatenate(ws, 1), np.concatenate(xs, 1), np.concatenate(cs, 1) + MARGIN, labels
+    )
+
+
+def _by_interval(values: np.ndarray) -> np.ndarray:
+    """Turn (K, N, R) into (N, K R)."""
+    return values.transpose(1, 0, 2).reshape(values.shape[1], -1)
+
+
+def _normalized(w: np.ndarray, x: np.ndarray, c: np.ndarray, labels: list) -> Rows:
+    """Balance both unknowns, and scale rows to unit gradient, as the solver's tolerance needs.
+
+    A row that no motion in reach can violate says 0 <= 1. Steps are powers of two, for the solver
+    adds them up and takes differences again.
+    """
+    c = np.maximum(c, -1e300)  # an infinite bound
+    idle = np.hypot(w, x) * FREE < -c
+    reach = ((np.abs(x) + np.abs(c)) / np.maximum(np.abs(w), 1e-30)).min(axis=1)
+    step = np.exp2(np.clip(np.round(np.log2(np.maximum(reach, 1e-30))), -20, 0))
+    w = w * step[:, None]
+    size = np.hypot(w, x)
+    factor = 1 / np.where(idle | (size == 0), 1.0, size)
+    factor[idle] = 0.0
+    c = c * factor
+    c[idle] = -1.0
+    return Rows(step, w * factor, x * factor, c, tuple(labels))
