@@ -127,11 +127,14 @@ class Bench:
         self.copy = work / "copy"
         self.work = work
         self.timeout = timeout
-        if not self.copy.exists():
+        whole = work / "whole"
+        if not whole.exists():
             for name in ("lib", "tests", "workbook"):
                 ignored = shutil.ignore_patterns("__pycache__", ".*")
-                shutil.copytree(ROOT / name, self.copy / name, ignore=ignored)
-            shutil.copy(ROOT / "pyproject.toml", self.copy)
+                shutil.copytree(ROOT / name, whole / name, ignore=ignored)
+            shutil.copy(ROOT / "pyproject.toml", whole)
+        # A run that was interrupted may have left its mutant behind.
+        shutil.copytree(whole, self.copy, dirs_exist_ok=True)
         points = importlib.metadata.entry_points(group="pytest11")
         loaded = any(point.value == "statebook.regression.plugin" for point in points)
         self.plugin = [] if loaded else ["-p", "statebook.regression.plugin"]
@@ -148,8 +151,10 @@ class Bench:
             "OMP_NUM_THREADS": "1",
             "OPENBLAS_NUM_THREADS": "1",
         }
+        # What Hypothesis remembers of one mutant must not convict the next.
+        shutil.rmtree(self.copy / ".hypothesis", ignore_errors=True)
         process = subprocess.Popen(
-            [*command, *arguments],
+            [*command, "--hypothesis-seed=0", *arguments],
             cwd=self.copy,
             env=environment,
             stdout=(self.work / "last.log").open("w"),
@@ -193,6 +198,8 @@ class Bench:
         cover = ["--cov=statebook", "--cov-report="]
         outcome = self.pytest(*cover, "--cov-context=test", "lib/statebook", *units)
         print(f"unit tests without a mutant: {outcome}", flush=True)
+        if outcome != "passed":
+            sys.exit(f"the unit tests fail as they are: see {self.work / 'last.log'}")
         self._coverage(report)
         add("tests", json.loads(report.read_text()), None)
         for path in sorted((self.copy / "workbook").glob("[0-9]*.ipynb")):
@@ -277,6 +284,7 @@ def main() -> None:
     parser.add_argument("--timeout", type=float, default=120.0, help="seconds for one test run")
     parser.add_argument("--work", type=Path, required=True, help="folder for the copy and results")
     options = parser.parse_args()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit("ended"))
     options.work.mkdir(parents=True, exist_ok=True)
     bench = Bench(options.work.resolve(), options.timeout)
     reach = bench.reach()

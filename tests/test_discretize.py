@@ -214,6 +214,15 @@ def test_sampled_first_order_plants():
     assert sb.critical_sample_time([[0.0]], [[1.0]], [[0.0]]) == 0
 
 
+def test_a_weakly_stabilized_plant_beside_a_slow_one():
+    """x' = 50 x + u under a gain a little above 50, while exp(50 h) grows without bound."""
+    A, B = np.diag([50.0, -1.0]), np.eye(2)
+    K = np.diag([50.0 * (1 + 1e-6), 0.0])
+    # (1 - (k/a - 1) (e^{a h} - 1)) reaches -1 at e^{a h} = 1 + 2 / (k/a - 1).
+    expected = np.log1p(2 / 1e-6) / 50
+    assert sb.critical_sample_time(A, B, K) == pytest.approx(expected, rel=1e-8)
+
+
 def test_sample_time_at_which_modes_alias():
     """At h = pi an oscillator of 1 rad/s cannot be controlled: exp(h A) = -I in its states.
 

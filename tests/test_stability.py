@@ -145,27 +145,23 @@ def same_verdict_elsewhere(A, dt):
     """The matrix in other coordinates, in which nothing about stability changes."""
     n = len(A)
     rng = np.random.default_rng(n)
-    yield A.T
+    units = [10.0 ** (6 * rng.integers(-1, 2, n))]
+    times = [1e6] if dt is None else []
+    rotations = [orthogonal(n, 0)]
+    if n < 20:
+        units += [10.0 ** rng.uniform(-6, 6, n), 10.0 ** rng.uniform(-3, 3, n)]
+        times += [1e-9, 2 * np.pi] if dt is None else []
+        rotations += [orthogonal(n, 1), orthogonal(n, 2)]
     order = rng.permutation(n)
+    yield A.T
     yield A[np.ix_(order, order)]
-    for units in (
-        1e6 ** rng.integers(-1, 2, n),
-        10.0 ** rng.uniform(-6, 6, n),
-        1e6 ** np.arange(n) if n < 4 else 10.0 ** rng.uniform(-3, 3, n),
-    ):
-        scaled = A * units[:, None] / units
-        yield scaled
-        if n < 20:
-            yield scaled.T
-            if dt is None:
-                yield 1e-9 * scaled
-    for seed in range(3 if n < 20 else 1):
-        Q = orthogonal(n, seed)
-        yield Q @ A @ Q.T
-    if dt is None:
-        for factor in (1e6, 1e-9, 2 * np.pi):
-            yield factor * A
-        yield 1e6 * (Q @ A @ Q.T)
+    scaled = [A * unit[:, None] / unit for unit in units]
+    rotated = [Q @ A @ Q.T for Q in rotations]
+    yield from scaled
+    yield from rotated
+    yield from (B.T for B in scaled)
+    for factor in times:
+        yield from (factor * B for B in (A, scaled[-1], rotated[-1]))
 
 
 @pytest.mark.parametrize(("A", "dt", "verdict"), CASES)

@@ -77,7 +77,7 @@ def check(
             f"{name}: {_worst(value, expected, relation)} does not hold{tolerance}"
         )
     # What agrees is printed once, in the digits of the expectation: they are the stable ones.
-    claim = _text(expected, 0.0)
+    claim = _text(expected, {"==": atol, "differs": _NOISE}.get(relation, 0.0))
     if relation != "==":
         claim = f"{_text(value, _NOISE)} {relation} {claim}"
     elif np.size(value) > np.size(expected):

@@ -181,7 +181,7 @@ def map_eigenvalues(s: Any, dt: float, method: str = "zoh") -> np.ndarray:
 
 
 def one_step(
-    A: np.ndarray, B: np.ndarray, h: float, method: str
+    A: np.ndarray, B: np.ndarray, h: Any, method: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return Ad, Bd, S and G: ``z_{k+1} = Ad z_k + Bd u_k`` and ``x = S z + G u``."""
     _validate.choice("method", method, DISCRETIZATIONS)
@@ -236,6 +236,7 @@ def _state_space(sys: Any) -> control.StateSpace:
 
 
 def pair(A: Any, B: Any, *, stack: bool = True) -> tuple[np.ndarray, np.ndarray]:
+    """Return A and B checked: (n, n) and (n, m), or stacks of as many of them."""
     A, B = _validate.array("A", A), _validate.array("B", B)
     if A.ndim not in ((2, 3) if stack else (2,)) or A.shape[-1] != A.shape[-2]:
         raise ValueError(f"A must have shape {'(N, n, n) or ' * stack}(n, n), got {A.shape}")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -12,11 +14,12 @@ from statebook.discretize.methods import one_step, pair
 from statebook.stability.judge import ASYMPTOTICALLY_STABLE, judge
 
 # The scan of sampled feedback: steps per period of the fastest living mode, growth of the step,
-# the decay after which a mode is dead, and the number of steps after which it gives up.
+# the decay after which a mode is dead, when to give up, and how many steps to take at once.
 _PER_PERIOD = 40
 _STEP_GROWTH = 0.05
 _DEAD = 40.0
 _MAX_SCAN = 100_000
+_CHUNK = 64
 # Modes this near, relatively, alias; a spectral radius this near 1 is 1 where they do.
 _SAME = 1e-9
 _TOUCH = 1e-7
@@ -75,33 +78,52 @@ def critical_sample_time(A: Any, B: Any, K: Any) -> float:
     if len(A) == 0:
         return float("inf")
 
-    def growth(h: float) -> float:
-        Ad, Bd, _, _ = one_step(A, B, h, "zoh")
-        return float(np.abs(np.linalg.eigvals(Ad - Bd @ K)).max()) - 1
+    def growth(h: np.ndarray) -> np.ndarray:
+        with np.errstate(over="ignore", invalid="ignore"):
+            Ad, Bd, _, _ = one_step(A, B, h[:, None, None], "zoh")
+            loop = Ad - Bd @ K
+        overflow = ~np.isfinite(loop).all(axis=(1, 2))
+        radius = np.abs(np.linalg.eigvals(np.where(overflow[:, None, None], 0, loop))).max(axis=1)
+        return np.where(overflow, np.inf, radius - 1)
 
-    open_loop = np.linalg.eigvals(A)
-    fastest = max(np.abs(open_loop).max(), np.abs(np.linalg.eigvals(closed)).max())
-    decay = -open_loop.real
+    low = 0.0
+    points = _scan(np.linalg.eigvals(A), np.linalg.eigvals(closed))
+    while chunk := list(itertools.islice(points, _CHUNK)):
+        # Invariant: stable at low and, as far as the scan has seen, before.
+        h, aliased = (np.array(column) for column in zip(*chunk, strict=True))
+        excess = growth(h)
+        touching = aliased & (np.abs(excess) <= _TOUCH)
+        if np.any(touching | (excess >= 0)):
+            k = int(np.argmax(touching | (excess >= 0)))
+            if touching[k]:
+                return float(h[k])
+            low = h[k - 1] if k > 0 else low
+            return float(
+                scipy.optimize.brentq(
+                    lambda t: growth(np.array([t]))[0], low, h[k], xtol=1e-300, rtol=1e-14
+                )
+            )
+        low = float(h[-1])
+    return float("inf")
+
+
+def _scan(open_loop: np.ndarray, closed_loop: np.ndarray) -> Iterator[tuple[float, bool]]:
+    """Sample times to look at, ascending, and whether two lasting modes alias there."""
     periods = _pathological_periods(open_loop)
-    h = 1e-3 / fastest
-    with np.errstate(over="ignore", invalid="ignore"):
-        for _ in range(_MAX_SCAN):
-            # Invariant: stable at h and, as far as the scan has seen, before.
-            alive = open_loop[decay * h < _DEAD]
-            if len(alive) == 0:
-                return float("inf")
-            frequency = np.abs(alive.imag).max()
-            step = _STEP_GROWTH * h
-            if frequency > 0:
-                step = min(step, 2 * np.pi / frequency / _PER_PERIOD)
-            lost = periods * np.floor((h + step) / periods)
-            for end in [*np.sort(lost[(lost > h) & (lost < h + step)]), h + step]:
-                excess = growth(end)
-                if abs(excess) <= _TOUCH and end in lost:
-                    return float(end)
-                if excess >= 0:
-                    return float(scipy.optimize.brentq(growth, h, end, xtol=1e-300, rtol=1e-14))
-                h = float(end)
+    h = 1e-3 / max(np.abs(open_loop).max(), np.abs(closed_loop).max())
+    for _ in range(_MAX_SCAN):
+        alive = open_loop[-open_loop.real * h < _DEAD]
+        if len(alive) == 0:
+            return
+        frequency = np.abs(alive.imag).max()
+        step = _STEP_GROWTH * h
+        if frequency > 0:
+            step = min(step, 2 * np.pi / frequency / _PER_PERIOD)
+        lost = periods * np.floor((h + step) / periods)
+        yield from ((float(time), True) for time in np.sort(lost[lost > h]))
+        h += step
+        if h not in lost:
+            yield h, False
     raise RuntimeError(
         f"no sample time up to {h:.3g} s was unstable, and the plant's modes have not died out;"
         " examine the eigenvalues of discretize_many(A, B, dt) yourself"

@@ -100,9 +100,9 @@ def _normalized(w: np.ndarray, x: np.ndarray, c: np.ndarray, labels: list) -> Ro
     A row that no motion in reach can violate says 0 <= 1. Steps are powers of two, for the solver
     adds them up and takes differences again.
     """
-    c = np.maximum(c, -1e300)  # an infinite bound
+    c = np.maximum(c, -1e100)  # an infinite bound
     idle = np.hypot(w, x) * FREE < -c
-    reach = ((np.abs(x) + np.abs(c)) / np.maximum(np.abs(w), 1e-30)).min(axis=1)
+    reach = ((np.abs(x) + np.abs(c)) / np.maximum(np.abs(w), 1e-100)).min(axis=1)
     step = np.exp2(np.clip(np.round(np.log2(np.maximum(reach, 1e-30))), -20, 0))
     w = w * step[:, None]
     size = np.hypot(w, x)
