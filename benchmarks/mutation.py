@@ -145,19 +145,12 @@ class Bench:
         # The plugin loads the package before coverage starts; its warning would be an error.
         quiet = "-Wignore::coverage.exceptions.CoverageWarning"
         command = [sys.executable, "-B", "-m", "pytest", "-q", "-p", "no:cacheprovider", quiet]
-        environment = {
-            **os.environ,
-            "PYTHONPATH": str(self.copy / "lib"),
-            "PYTHONDONTWRITEBYTECODE": "1",
-            "OMP_NUM_THREADS": "1",
-            "OPENBLAS_NUM_THREADS": "1",
-        }
         # What Hypothesis remembers of one mutant must not convict the next.
         shutil.rmtree(self.copy / ".hypothesis", ignore_errors=True)
         process = subprocess.Popen(
             [*command, "--hypothesis-seed=0", *arguments],
             cwd=self.copy,
-            env=environment,
+            env=self._environment(),
             stdout=(self.work / "last.log").open("w"),
             stderr=subprocess.STDOUT,
             start_new_session=True,
@@ -172,6 +165,15 @@ class Bench:
             os.killpg(process.pid, signal.SIGKILL)
             raise
         return "passed" if code == 0 else "failed"
+
+    def _environment(self) -> dict[str, str]:
+        return {
+            **os.environ,
+            "PYTHONPATH": str(self.copy / "lib"),
+            "PYTHONDONTWRITEBYTECODE": "1",
+            "OMP_NUM_THREADS": "1",
+            "OPENBLAS_NUM_THREADS": "1",
+        }
 
     def reach(self) -> dict[str, dict[str, Any]]:
         """For each file, its lines with the tests and the chapters that execute them."""
@@ -209,6 +211,10 @@ class Bench:
         add("tests", json.loads(report.read_text()), None)
         for path in sorted((self.copy / "workbook").glob("[0-9]*.ipynb")):
             chapter = str(path.relative_to(self.copy))
+            # Outputs of the library as it is now, which are what a mutant must change.
+            refresh = [sys.executable, "-m", "statebook.regression", "refresh", chapter]
+            subprocess.run(refresh, cwd=self.copy, env=self._environment(), capture_output=True)
+            shutil.copy(path, self.work / "whole" / "workbook")
             outcome = self.pytest(*cover, *self._nbval(), chapter)
             print(f"{chapter} without a mutant: {outcome}", flush=True)
             if outcome == "passed":

@@ -251,7 +251,9 @@ def test_terms_that_cancel_leave_their_rounding():
 
 
 def test_refusal_names_the_residual():
-    with pytest.raises(sb.NotAnEquilibriumError, match=r"\|f\(x0, u0\)\| = 9\.75 against a scale of 9\."):
+    with pytest.raises(
+        sb.NotAnEquilibriumError, match=r"\|f\(x0, u0\)\| = 9\.75 against a scale of 9\."
+    ):
         sb.linearize(sb.Pendulum(), [0.1, 0.0])
 
 

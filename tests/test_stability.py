@@ -255,6 +255,49 @@ def test_random_similarity_keeps_the_verdict(inside, worst, seed):
     assert report.spectral_margin == pytest.approx(-worst, abs=1e-12)
 
 
+def exact_continuous_verdict(A):
+    """Routh and Hurwitz on s^3 + a s^2 + b s + c, for an integer matrix, in integers."""
+    minors = sum(A[i, i] * A[j, j] - A[i, j] * A[j, i] for i, j in ((0, 1), (0, 2), (1, 2)))
+    a, b, c = -int(np.trace(A)), int(minors), -round(np.linalg.det(A))
+    if c != 0:
+        if a > 0 and c > 0 and a * b > c:
+            return STABLE
+        return MARGINAL if a * b == c and b > 0 and a > 0 else UNSTABLE
+    if b != 0:  # s (s^2 + a s + b)
+        return MARGINAL if a >= 0 and b > 0 else UNSTABLE
+    defect = np.linalg.matrix_rank(A) - (a != 0)  # s^2 (s + a)
+    return MARGINAL if a >= 0 and defect == 0 else UNSTABLE
+
+
+def exact_discrete_verdict(A):
+    """Jury's conditions for a 2 x 2 matrix, in numbers without rounding."""
+    t, d = np.trace(A), A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0]
+    at_one, at_minus_one = 1 - t + d, 1 + t + d
+    if at_one > 0 and at_minus_one > 0 and d < 1:
+        return STABLE
+    if at_one < 0 or at_minus_one < 0 or d > 1 or (d == 1 and abs(t) > 2):
+        return UNSTABLE
+    if d == 1 and abs(t) == 2:
+        return MARGINAL if np.array_equal(A, t / 2 * np.eye(2)) else UNSTABLE
+    return MARGINAL
+
+
+@pytest.mark.parametrize(
+    ("n", "dt", "unit", "exact"),
+    [(3, None, 1, exact_continuous_verdict), (2, 0.1, 0.5, exact_discrete_verdict)],
+)
+def test_small_integer_matrices_against_exact_arithmetic(n, dt, unit, exact):
+    rng = np.random.default_rng(n)
+    seen = set()
+    for k in range(120):
+        A = rng.integers(-2, 3, (n, n)) * (rng.uniform(size=(n, n)) < 0.75) * unit
+        seen.add(expected := exact(A))
+        units, Q = 10.0 ** rng.uniform(-4, 4, n), orthogonal(n, k)
+        for B in (A, A * units[:, None] / units, Q @ A @ Q.T):
+            assert sb.stability(B, dt=dt).verdict == expected, A
+    assert seen == {STABLE, MARGINAL, UNSTABLE}
+
+
 # Equilibria and systems
 
 

@@ -86,10 +86,12 @@ def state_and_input(x: Any, u: Any, n: int, m: int) -> tuple[np.ndarray, np.ndar
 
 def number(name: str, value: Any) -> float:
     """Return value as a finite real float."""
-    if isinstance(value, bool | np.bool_) or not isinstance(value, numbers.Real | np.ndarray):
+    if isinstance(value, np.ndarray):
+        if value.ndim:
+            raise TypeError(f"{name} must be a single number, got an array of shape {value.shape}")
+        value = value.item()
+    if isinstance(value, bool | np.bool_) or not isinstance(value, numbers.Real):
         raise TypeError(f"{name} must be a real number, got {value!r}")
-    if np.ndim(value) != 0:
-        raise TypeError(f"{name} must be a single number, got an array of shape {np.shape(value)}")
     result = float(value)
     if not np.isfinite(result):
         raise ValueError(f"{name} must be finite, got {result}")

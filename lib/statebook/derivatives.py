@@ -1,7 +1,7 @@
 """Derivatives that are exact to rounding, or known not to be.
 
 The complex step d f / d z_j = Im f(z + i h e_j) / h has no cancellation, but fails in
-silence where f is not analytic: it halves the derivative of x |x| and finds zero for a
+silence where f is not analytic: it halves the derivative of ``x |x|`` and finds zero for a
 table look-up. So every column is compared with central differences over a range of
 steps, which have an error estimate of their own, and is taken from adaptive differences
 where the two disagree.
@@ -112,7 +112,7 @@ def _complex_step(f: Evaluate, z: np.ndarray, j: int) -> np.ndarray | None:
 def _differences(
     f: Evaluate, z: np.ndarray, f0: np.ndarray, j: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return the best central differences (n, N), their errors and steps, and f's size over z_j's."""
+    """Return the best central differences (n, N), errors and steps, and f over z_j in size."""
     K, N = _STEPS.size, z.shape[1]
     h = _STEPS[:, None] * step_scale(z[j])
     shifts = np.zeros((z.shape[0], 2, K, N))

@@ -137,7 +137,7 @@ class Particle(_Model):
         return [*x[self.dim :], *(u / self.m)]
 
     def energy(self, x: Any) -> np.ndarray:
-        """Return the kinetic energy m |v|^2 / 2 [J], shape () or (N,)."""
+        """Return the kinetic energy ``m |v|^2 / 2`` [J], shape () or (N,)."""
         x, _ = self._arguments(x)
         return self.m / 2 * (x[self.dim :] ** 2).sum(axis=0)
 

@@ -174,7 +174,8 @@ def as_system(
     if dt is not None and (dt != result.dt or (dt is True) != (result.dt is True)):
         if not (dt == 0 and not result.discrete):
             raise ValueError(
-                f"dt = {dt} contradicts the timebase dt = {result.dt} of {result.name}; leave it out"
+                f"dt = {dt} contradicts the timebase dt = {result.dt} of {result.name};"
+                " leave it out"
             )
     return result
 

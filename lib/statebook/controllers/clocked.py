@@ -57,9 +57,10 @@ def simulate_clocked(
     Examples
     --------
     >>> import statebook as sb
-    >>> run = simulate_clocked(sb.Particle(), [1.0, 0.0], lambda x, t: -x[:1], period=0.5, duration=1)
-    >>> run.states[:, -1]
-    array([ 0.5625, -0.9375])
+    >>> plant, x0 = sb.Particle(), [1.0, 0.0]
+    >>> run = simulate_clocked(plant, x0, lambda x, t: -x[:1], period=0.5, duration=1)
+    >>> run.states[:, -1].round(6)
+    array([ 0.515625, -0.9375  ])
     """
     period = _validate.positive("period", period)
     duration = _validate.positive("duration", duration)
@@ -73,7 +74,7 @@ def simulate_clocked(
         times = np.linspace(k, k + 1, samples + 1) * period
         piece = simulate(system, x, u, times=times, **options)
         states.append(piece.states[..., 1:])
-        controls.append(piece.controls[..., 1:])
+        controls.append(np.asarray(piece.controls)[..., 1:])
         x = piece.states[..., -1]
     return Trajectory(
         np.arange(ticks * samples + 1) * (period / samples),

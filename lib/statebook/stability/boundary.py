@@ -149,13 +149,16 @@ def _judge(number: int, block: Block, members: np.ndarray, discrete: bool) -> Cl
     if discrete:
         moved = max(moved, rounding(1.0, k, block.precision))
     spread = tol * float(np.linalg.norm(projector, 2))
-    if abs(mean - point) > moved:
+    # The entries of a graded matrix may keep a simple eigenvalue far sharper than the norm of
+    # rounding does; the mean of several is no sharper than rounding in the sum.
+    blur = moved if p == 1 else max(moved, tol / (8 * k))
+    if abs(mean - point) > blur:
         side = -1 if margin(mean, discrete) > 0 else 1
         return Cluster(number, members, mean, side, False, False, spread)
     couplings = np.linalg.svd(T[:p, :p] - point * np.eye(p), compute_uv=False)
     lost = couplings <= spread
     if p == 1 or lost.all():
-        return Cluster(number, members, point, 0, False, True, spread)
+        return Cluster(number, members, point, 0, False, abs(mean - point) <= moved, spread)
     clear = lost.sum() <= 1 and bool(couplings[-2] > _CLEAR * spread)
     return Cluster(number, members, point, 0, True, clear, spread)
 

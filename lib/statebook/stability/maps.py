@@ -16,7 +16,7 @@ def eigenvalue_map(function: Callable[..., Any], *grids: Any) -> np.ndarray:
     Parameters
     ----------
     function : callable
-        function(*parameters), called once with one array per grid, all of the shape of the
+        ``function(*parameters)``, called once with one array per grid, all of the shape of the
         whole grid; it returns matrices of shape (\\*grid shape, n, n).
     *grids : array, shape (N,)
         Values of each parameter, one after another in the result's axes ("ij" order).

@@ -16,9 +16,6 @@ from statebook.systems import as_system
 
 INCONCLUSIVE = "inconclusive"
 
-# No entry of a Jacobian matrix in any sensible units is this small and not zero.
-_NO_DERIVATIVE = 1e-30
-
 
 def stability(
     system_or_A: Any, x0: Any = None, u0: Any = None, *, dt: float | bool | None = None
@@ -122,8 +119,6 @@ def _linear_part(
             )
         x0 = np.zeros(view.n)
     A = np.asarray(linearize(view, x0, u0).A)
-    # What the complex step leaves of a zero derivative: d(x^2)/dx at 0 comes out as its step.
-    A = np.where(np.abs(A) <= _NO_DERIVATIVE, 0.0, A)
     u = np.zeros(view.m) if u0 is None else np.asarray(u0, dtype=float)
     _, error = derivative(
         lambda x: view.probe(x, np.repeat(u[:, None], x.shape[1], axis=1)),

@@ -12,6 +12,7 @@ from statebook.timescale.limits import Limit, TorqueLimit, VelocityLimit
 from statebook.timescale.profile import Profile
 
 _DENSE = 17  # points per interval at which torques are looked at
+_SAME = 1e-6  # uses that differ by less are the same use
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,7 @@ class Use:
         The quantity over its bound at the worst instant: at most 1 if the limit holds. Of a
         torque range that does not enclose 0: 1 plus the excess over the larger bound.
     time, s : float
-        When and where.
+        When and where, the first time.
     exact : bool
         True if it is the maximum over all time to rounding; False for torques, which are looked
         at on 17 points of each interval.
@@ -83,29 +84,37 @@ def audit(profile: Profile, limits: Sequence[Limit]) -> Audit:
     """
     uses: list[Use] = []
     for limit in limits:
-        use, interval, z = (
-            _sampled(profile, limit) if limit.kind == "torque" else _exact(profile, limit)
-        )
-        for row in range(len(use)):
-            i = int(interval[row])
+        exact = limit.kind != "torque"
+        z = bernstein.nodes(limit.degree(profile.grid)) if exact else np.linspace(0, 1, _DENSE)
+        sampled = limit.use(profile.grid, z, profile.u(z), profile.x(z))
+        highest = sampled.max(axis=(0, 1))
+        places = [(0, 0.0)] * len(highest)
+        if exact:
+            highest, places = _maxima(profile, limit, z)
+        for row, (use, (i, fraction)) in enumerate(zip(highest, places, strict=True)):
+            # Limits are reached again and again: name the first time, whatever the rounding.
+            reached = sampled[:, :, row] >= use * (1 - _SAME)
+            if reached.any():
+                i = int(reached.any(axis=0).argmax())
+                fraction = float(z[reached[:, i].argmax()])
             uses.append(
                 Use(
                     limit=limit.kind,
                     row=row,
-                    use=float(use[row]),
-                    time=profile.time_at(i, float(z[row])),
-                    s=float(profile.grid.s[i] + z[row] * profile.grid.h[i]),
-                    exact=limit.kind != "torque",
+                    use=float(use),
+                    time=profile.time_at(i, fraction),
+                    s=float(profile.grid.s[i] + fraction * profile.grid.h[i]),
+                    exact=exact,
                 )
             )
     return Audit(tuple(uses))
 
 
-def _exact(profile: Profile, limit: Limit) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the largest use of each row, its interval and the fraction of it."""
-    degree = limit.degree(profile.grid)
-    z = bernstein.nodes(degree)
-    to_bernstein = bernstein.from_values(degree)
+def _maxima(
+    profile: Profile, limit: Limit, z: np.ndarray
+) -> tuple[np.ndarray, list[tuple[int, float]]]:
+    """Return the largest use of each row, and the interval and the fraction of it where it is."""
+    to_bernstein = bernstein.from_values(len(z) - 1)
     values = limit.values(profile.grid, z, profile.u(z), profile.x(z))
     coefficients = bernstein.along(to_bernstein, values)
     sides: list[tuple[np.ndarray, np.ndarray | None]]
@@ -117,20 +126,11 @@ def _exact(profile: Profile, limit: Limit) -> tuple[np.ndarray, np.ndarray, np.n
     else:
         sides = [(limit.upper, None), (limit.lower, None)]
     found = [bernstein.maxima(coefficients / bound, sign) for bound, sign in sides]
-    use, interval, place = (np.stack(values) for values in zip(*found, strict=True))
-    side = use.argmax(axis=0)
-    rows = np.arange(use.shape[1])
-    use = np.maximum(use[side, rows], 0.0)
-    return (np.sqrt(use) if limit.squared else use), interval[side, rows], place[side, rows]
-
-
-def _sampled(profile: Profile, limit: Limit) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the same on dense points of each interval."""
-    z = np.linspace(0, 1, _DENSE)
-    use = limit.use(profile.grid, z, profile.u(z), profile.x(z))
-    flat = use.reshape(-1, use.shape[2])
-    place, interval = np.divmod(flat.argmax(axis=0), use.shape[1])
-    return flat.max(axis=0), interval, z[place]
+    use, interval, fraction = (np.stack(values) for values in zip(*found, strict=True))
+    side, rows = use.argmax(axis=0), np.arange(use.shape[1])
+    highest = np.maximum(use[side, rows], 0.0)
+    places = list(zip(interval[side, rows].tolist(), fraction[side, rows].tolist(), strict=True))
+    return (np.sqrt(highest) if limit.squared else highest), places
 
 
 def static_torques_hold(profile: Profile, limits: Sequence[Limit]) -> bool:

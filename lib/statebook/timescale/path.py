@@ -58,8 +58,10 @@ class Path:
         knots = _validate.real_array("the curve's knots", curve.x)
         if np.any(np.diff(knots) <= 0):
             raise ValueError("the curve's knots must increase")
-        size = np.abs(coefficients[-1]).max(axis=0)
-        ends = self._horner(np.arange(len(knots) - 1), np.diff(knots), 0)
+        width = np.diff(knots)
+        powers = width[:, None] ** np.arange(len(coefficients))[::-1, None, None]
+        size = (np.abs(coefficients) * powers).max(axis=(0, 1))
+        ends = self._horner(np.arange(len(width)), width, 0)
         jump = np.abs(ends[:, :-1] - coefficients[-1, 1:].T).T
         bad = np.flatnonzero((jump > 1e-9 * size + 1e-300).any(axis=1))
         if len(bad):

@@ -48,5 +48,5 @@ def maximum_speeds(path: Path, limits: Sequence[Limit], s: np.ndarray) -> np.nda
             slope = b[:, k, None] / g[:, k, None] + b / -g
             room = c[:, k, None] / g[:, k, None] + c / -g
             bound = np.where(pairs & (slope > 0), room / slope, np.inf)
-            np.minimum(highest, np.nan_to_num(bound, nan=np.inf).min(axis=1), out=highest)
+            np.minimum(highest, bound.min(axis=1), out=highest)
     return np.sqrt(np.maximum(highest, 0.0))

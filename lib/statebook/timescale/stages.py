@@ -103,7 +103,7 @@ def fastest_profile(
     units, steps = scale.tolist(), rows.step.tolist()
     for section in grid.sections:
         try:
-            low, high = _controllable(solve, section, units, floors, margin)
+            low, high = _controllable(solve, section, units, steps, floors, margin)
             _drive(solve, section, units, steps, low, high, x)
         except StuckError as stuck:
             stuck.grid, stuck.rows = grid, rows
@@ -115,7 +115,12 @@ def fastest_profile(
 
 
 def _controllable(
-    solve: Callable, section: Section, units: list[float], floors: bool, margin: float
+    solve: Callable,
+    section: Section,
+    units: list[float],
+    steps: list[float],
+    floors: bool,
+    margin: float,
 ) -> tuple[list[float], list[float]]:
     """Return the lowest and highest s'^2 at each gridpoint that the end allows.
 
@@ -125,7 +130,9 @@ def _controllable(
     count = section.last - section.first
     low, high = [0.0] * (count + 1), [0.0] * (count + 1)
     if section.end is None:
-        high[count] = FREE * units[section.last - 1]
+        stage = section.last - 1
+        w, x = solve(stage, None, -np.array([steps[stage], 1.0]), 0.0, _NAN, 0.0, FREE)
+        high[count] = (x + steps[stage] * w) * units[stage] * (1 - margin)
     else:
         high[count] = section.end
         low[count] = section.end if floors else 0.0

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from statebook import _validate
-from statebook.timescale.audit import Audit, audit, static_torques_hold
+from statebook.timescale.audit import Audit, Use, audit, static_torques_hold
 from statebook.timescale.limits import Limit
 from statebook.timescale.path import Path, horner
 from statebook.timescale.plane import maximum_speeds
@@ -174,7 +174,8 @@ class TimedPath:
     @cached_property
     def _audit(self) -> Audit:
         if self.duration == 0:
-            return Audit(())
+            rows = [(limit.kind, row) for limit in self._limits for row in range(len(limit.upper))]
+            return Audit(tuple(Use(*row, 0.0, 0.0, self.path.s_start, True) for row in rows))
         return audit(self._profile, self._limits)
 
     def slower(self, factor: float) -> TimedPath:
