@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from statebook.regression.textdiff import text_difference
 
 
-def compare(stored, new, rtol=1e-6, atol=1e-12):
+def compare(stored, new, rtol=1e-5, atol=1e-12):
     return text_difference(stored, new, rtol=rtol, atol=atol)
 
 
@@ -91,7 +91,7 @@ def test_differ(stored, new):
 
 def test_message_says_where_and_by_how_much():
     message = compare("first\nx = 1.5, y = 2.0", "first\nx = 1.5, y = 2.5")
-    assert message == "line 2: 2.5, stored 2.0 (difference 0.5, allowed 2.5e-06)"
+    assert message == "line 2: 2.5, stored 2.0 (difference 0.5, allowed 2.5e-05)"
 
 
 def test_tolerances():

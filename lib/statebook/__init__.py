@@ -48,6 +48,10 @@ _MODULE_OF = {
         "systems": "System as_system",
         "timescale": "Path TimedPath time_scale",
         "trajectory": "Trajectory",
+        "uncertainty": (
+            "HeldNoise consistency discretize_noise monte_carlo with_actuation_error"
+            " with_disturbance with_measurement_error with_parameters"
+        ),
     }.items()
     for name in names.split()
 }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -277,17 +277,31 @@ def _require_pure(f: Callable, arguments: tuple[np.ndarray, ...]) -> None:
     """Refuse a function that changes its arguments or remembers its last call."""
     copies = [a.copy() for a in arguments]
     first = np.array(f(*copies))
-    if any((a != b).any() for a, b in zip(arguments, copies, strict=True)):
-        raise ValueError(
-            "a system's function must leave its arguments alone, but it changed one in place;"
-            " work on a copy (x = x.copy())"
-        )
+    _require_unchanged(arguments, copies)
+    # An equilibrium at 0 hides both a memory (of 0) and x *= 2: call f beside it in between.
+    beside = [a + 1e-3 * (1 + np.abs(a)) for a in arguments]
+    copies = [a.copy() for a in beside]
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        try:
+            f(*copies)
+        except (ValueError, ArithmeticError):  # outside its domain
+            copies = beside
+    _require_unchanged(beside, copies)
     second = np.array(f(*(a.copy() for a in arguments)))
     if first.dtype.kind in "biufc" and not np.array_equal(first, second, equal_nan=True):
         raise ValueError(
             "a system's function must depend on its arguments alone, but two calls at"
             f" x = {_brief(arguments[0])} gave {_brief(first)} and {_brief(second)};"
             " make its memory part of the state"
+        )
+
+
+def _require_unchanged(arguments: Sequence[np.ndarray], copies: Sequence[np.ndarray]) -> None:
+    if any((a != b).any() for a, b in zip(arguments, copies, strict=True)):
+        raise ValueError(
+            "a system's function must leave its arguments alone, but it changed one in place;"
+            " work on a copy (x = x.copy())"
         )
 
 

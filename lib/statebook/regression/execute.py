@@ -20,7 +20,8 @@ from nbclient.exceptions import CellExecutionError, CellTimeoutError
 
 from statebook.regression.figures import MIME_TYPE
 from statebook.regression.normalize import normalize
-from statebook.regression.outputs import Tolerance, outputs_differences, tolerance_tags
+from statebook.regression.outputs import outputs_differences
+from statebook.regression.tolerance import Tolerance, tolerance_tags
 
 
 class NotebookError(Exception):

@@ -11,13 +11,9 @@ from typing import Any
 import pytest
 from nbval.plugin import IPyNbCell, IPyNbFile, NbCellError
 
-from statebook.regression.outputs import (
-    Tolerance,
-    outputs_differences,
-    tolerance,
-    tolerance_tags,
-)
+from statebook.regression.outputs import outputs_differences
 from statebook.regression.plugin import setting
+from statebook.regression.tolerance import Tolerance, tolerance, tolerance_tags
 
 # How often a silent kernel is asked whether it is still there.
 _POLL = 1.0

@@ -1,98 +1,21 @@
 """The outputs of a cell compared: texts by their numbers, figures by their data."""
 
 import json
-import math
 import re
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 from statebook.regression.figures import MIME_TYPE
 from statebook.regression.summary import difference
 from statebook.regression.textdiff import text_difference
+from statebook.regression.tolerance import Tolerance
 
-_TAG = "regression-"
 _WIDGET = "application/vnd.jupyter.widget-view+json"
 _PICTURES = ("image/png", "image/jpeg", "image/svg+xml", "application/pdf")
 # A figure's digest holds the summary of an array under these names.
 _ARRAYS = ("limits", "data")
 # Pictures within HTML, and the random names that Matplotlib gives an animation's elements.
 _EMBEDDED = re.compile(r"data:image/[\w+.-]+;base64,[\w+/=\\\s]+|(?<=[A-Za-z_])[0-9a-f]{32}")
-
-
-class Tolerance(NamedTuple):
-    """How far numbers may be apart.
-
-    Parameters
-    ----------
-    rtol : float >= 0
-        Relative to the number; in a figure, to the largest modulus in its array.
-    atol : float >= 0
-        Absolute.
-    """
-
-    rtol: float = 1e-6
-    atol: float = 1e-12
-
-
-def tolerance(text: str) -> float:
-    """Read a tolerance.
-
-    Parameters
-    ----------
-    text : str
-
-    Returns
-    -------
-    value : float >= 0
-
-    Raises
-    ------
-    ValueError
-        If the text is not a finite number >= 0.
-
-    Examples
-    --------
-    >>> tolerance("1e-3")
-    0.001
-    """
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0.0 <= value < math.inf:
-        raise ValueError(f"must be a number >= 0, got {text!r}")
-    return value
-
-
-def tolerance_tags(cell: Any) -> dict[str, float]:
-    """Tolerances that a cell's tags set, as ``regression-rtol=1e-3`` does.
-
-    Parameters
-    ----------
-    cell : nbformat.NotebookNode
-
-    Returns
-    -------
-    tolerances : dict
-        Some of the fields of `Tolerance`.
-
-    Raises
-    ------
-    ValueError
-        If a tag begins with ``regression-`` and means nothing.
-    """
-    values = {}
-    for tag in cell.metadata.get("tags", []):
-        if not tag.startswith(_TAG):
-            continue
-        name, _, text = tag.removeprefix(_TAG).partition("=")
-        if name not in Tolerance._fields:
-            raise ValueError(f"tag {tag!r} is not known; write {_TAG}rtol=X or {_TAG}atol=X")
-        try:
-            values[name] = tolerance(text)
-        except ValueError as error:
-            raise ValueError(f"tag {tag!r}: {name} {error}") from None
-    return values
 
 
 def outputs_differences(stored: list[Any], new: list[Any], tolerance: Tolerance) -> list[str]:

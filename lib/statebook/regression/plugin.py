@@ -17,7 +17,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     """Add ``--regression-rtol`` and ``--regression-atol``, and their ini settings."""
     group = parser.getgroup("statebook", "numbers and figures in notebooks (with --nbval)")
     for name, default, text in (
-        ("rtol", "1e-6", "relative tolerance of numbers and figure data"),
+        ("rtol", "1e-5", "relative tolerance of numbers and figure data"),
         ("atol", "1e-12", "absolute tolerance of numbers and figure data"),
     ):
         group.addoption(f"--regression-{name}", metavar="X", help=f"{text} (default {default})")
@@ -30,7 +30,7 @@ def pytest_configure(config: pytest.Config) -> None:
     if not _active(config):
         return
     for name in ("rtol", "atol"):
-        from statebook.regression.outputs import tolerance
+        from statebook.regression.tolerance import tolerance
 
         try:
             tolerance(setting(config, name))

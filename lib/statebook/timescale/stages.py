@@ -21,6 +21,7 @@ from statebook.timescale.profile import Profile
 from statebook.timescale.rows import FREE, MARGIN, Rows, stage_rows
 
 _BLOCK = 24  # rows handed over at a time: toppra multiplies each block by a square matrix
+_STANDSTILL = 1e-11  # s'^2, in units of the scale, that is the solver's rounding of 0
 _NAN = float("nan")
 _FASTEST_LEFT = np.array([1e-9, -1.0])  # toppra minimizes this times (w, x)
 _SLOWEST_LEFT = np.array([-1e-9, 1.0])
@@ -132,6 +133,8 @@ def _controllable(
     if section.end is None:
         stage = section.last - 1
         w, x = solve(stage, None, -np.array([steps[stage], 1.0]), 0.0, _NAN, 0.0, FREE)
+        if w != w:
+            raise StuckError(stage, None, (0.0, FREE))
         high[count] = (x + steps[stage] * w) * units[stage] * (1 - margin)
     else:
         high[count] = section.end
@@ -145,8 +148,10 @@ def _controllable(
             raise StuckError(stage, None, following)
         high[i] = top * unit * (1 - margin)
         if floors:
-            bottom = max(solve(stage, None, _SLOWEST_LEFT, 0.0, _NAN, *following)[1], 0.0)
-            low[i] = min(bottom * unit * (1 + margin), high[i])
+            bottom = solve(stage, None, _SLOWEST_LEFT, 0.0, _NAN, *following)[1]
+            if not bottom <= top:  # rounding, where both are the same
+                bottom = top
+            low[i] = min(bottom * unit * (1 + margin), high[i]) if bottom > _STANDSTILL else 0.0
     return low, high
 
 

@@ -1,0 +1,134 @@
+"""Many trajectories of one system under independent errors."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from statebook import _validate
+from statebook.controllers.clocked import simulate_clocked
+from statebook.systems import as_system
+from statebook.trajectory import Trajectory
+from statebook.uncertainty.noise import HeldNoise
+from statebook.uncertainty.wrappers import control_of, with_disturbance
+
+
+def monte_carlo(
+    system: Any,
+    x0: Any,
+    policy: Any = None,
+    *,
+    number: int,
+    period: float,
+    duration: float,
+    disturbance: Any = None,
+    G: Any = None,
+    samples: int = 1,
+    method: str = "RK45",
+) -> Trajectory:
+    """Simulate many trajectories under independent errors.
+
+    At each tick the policy, with the errors wrapped round it, sees the states; its controls and
+    the disturbance are held until the next tick, so that the solver meets no jump.
+
+    Parameters
+    ----------
+    system : library model, System, control.NonlinearIOSystem or StateSpace
+        In discrete time the period is its sample time.
+    x0 : array, shape (n,) or (n, N)
+        One initial state for all, or one a trajectory.
+    policy : callable, optional
+        u(x, t) for batches (n, N), or a ControlTrajectory; zero if omitted. Wrapped in
+        `with_measurement_error` and `with_actuation_error` where it meets such errors.
+    number : int > 0
+        N, the number of trajectories.
+    period : float > 0 [s]
+        Of the clock.
+    duration : float > 0 [s]
+        Rounded up to whole periods.
+    disturbance : HeldNoise or callable, optional
+        w in x' = f(x, u) + G w; a function w(x, t) returns (q,) or (q, N). White noise needs
+        the period of the clock, so that none of it is skipped.
+    G : array, shape (n, q), optional
+        Where the disturbance enters; the identity if omitted.
+    samples : int > 0
+        Stored samples a period.
+    method : str
+        As in simulate; "rk4" and "euler" make one step a sample.
+
+    Returns
+    -------
+    Trajectory
+        States (n, N, T) and the inputs (u, w) that acted, one an interval.
+
+    Raises
+    ------
+    DivergenceError
+        As simulate.
+    TypeError, ValueError
+        An argument has the wrong type or shape, or the noise is held for less than a period or
+        for a fraction of one.
+
+    Examples
+    --------
+    >>> import statebook as sb
+    >>> gusts = sb.HeldNoise.white(0.5, 0.1, seed=1)
+    >>> run = sb.monte_carlo(sb.Particle(m=2.0), [0, 0], number=400, period=0.1, duration=3.0,
+    ...                      disturbance=gusts, G=[[0], [0.5]])
+    >>> run
+    Trajectory(a batch of 400, n=2, m=2, 31 times over [0, 3] s)
+    >>> sb.consistency(run.states[:1, :, -1], 0.5 * 3.0**3 / 3 / 2.0**2) > 1e-8
+    True
+    """
+    system = as_system(system)
+    number = _validate.integer("number", number, 1)
+    period = _validate.positive("period", period)
+    x0 = _validate.real_array("x0", x0)
+    if x0.shape not in ((system.n,), (system.n, number)):
+        raise ValueError(
+            f"x0 must have shape ({system.n},) or ({system.n}, {number}), got {x0.shape}"
+        )
+    start = x0.copy() if x0.ndim == 2 else np.repeat(x0[:, None], number, axis=1)
+    m = system.m
+    if disturbance is None:
+        if G is not None:
+            raise ValueError("G was given without a disturbance: give both, or neither")
+        disturbed, q = system, 0
+    else:
+        disturbed = with_disturbance(system, G)
+        q = disturbed.m - m
+        if isinstance(disturbance, HeldNoise):
+            _check_noise(disturbance, period, q)
+
+    def inputs(x: np.ndarray, t: float) -> np.ndarray:
+        u = np.zeros((m, number)) if policy is None else control_of(policy, x, t, m)
+        if disturbance is None:
+            return u
+        held = isinstance(disturbance, HeldNoise)
+        w = disturbance(t, number) if held else control_of(disturbance, x, t, q)
+        return np.concatenate([u, w])
+
+    run = simulate_clocked(
+        disturbed, start, inputs, period=period, duration=duration, samples=samples, method=method
+    )
+    return Trajectory(
+        run.times,
+        run.states,
+        run.controls if disturbed.m else None,
+        state_labels=disturbed.states,
+        input_labels=disturbed.inputs if disturbed.m else None,
+    )
+
+
+def _check_noise(noise: HeldNoise, period: float, q: int) -> None:
+    if noise.size != q:
+        raise ValueError(
+            f"disturbance must have the {q} components that G has columns, got {noise.size}"
+        )
+    ratio = noise.period / period
+    if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-9 * ratio:
+        raise ValueError(
+            f"disturbance must be held for a whole number of periods of {period:g} s, got "
+            f"{noise.period:g} s: what a clock skips or cuts has another variance"
+        )

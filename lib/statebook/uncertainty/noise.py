@@ -1,0 +1,196 @@
+"""Seeded noise as a signal of time, and the noise of a sampled linear system."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import scipy
+
+from statebook import _validate
+from statebook.uncertainty.covariance import covariance_matrix, square_root
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class HeldNoise:
+    """Gaussian noise that is held for a period, as a signal of time.
+
+    w(t) = bias + S z_k for k period <= t < (k + 1) period, with S S = covariance and every z_k
+    standard normal, independent of the others. The noise of trajectory j in period k depends
+    on the seed, k and j alone: not on how many trajectories there are, or in which order times
+    are asked for.
+
+    Parameters
+    ----------
+    covariance : float or array, shape (q, q), symmetric and positive semidefinite
+        Of one period's value. For white noise of a given intensity use `HeldNoise.white`.
+    period : float > 0 [s]
+        Time for which each value is held.
+    seed : int >= 0 or numpy.random.Generator
+        Required. A generator gives one integer, so that several noises may share it.
+    bias : float or array, shape (q,), optional
+        Mean of the noise: the systematic error.
+
+    Raises
+    ------
+    TypeError, ValueError
+        The covariance is not one, the seed is missing, or bias or period do not fit.
+
+    Examples
+    --------
+    >>> noise = HeldNoise(0.04, 0.1, seed=1)
+    >>> noise
+    HeldNoise(covariance=[[0.04]], period=0.1 s, bias=[0])
+    >>> noise(0.25, number=3).shape
+    (1, 3)
+    >>> bool(noise(0.25)[0] == noise(0.21, number=3)[0, 0])
+    True
+    """
+
+    covariance: Any
+    period: float
+    seed: Any = field(kw_only=True)
+    bias: Any = field(default=0.0, kw_only=True)
+    _root: np.ndarray = field(init=False)
+
+    def __post_init__(self) -> None:
+        covariance = covariance_matrix("covariance", self.covariance)
+        q = len(covariance)
+        bias = _validate.real_array("bias", self.bias)
+        if bias.shape not in ((), (q,)):
+            raise ValueError(f"bias must be a number or have shape ({q},), got {bias.shape}")
+        fields = {
+            "covariance": covariance,
+            "period": _validate.positive("period", self.period),
+            "seed": _seed(self.seed),
+            "bias": np.broadcast_to(bias, (q,)),
+            "_root": square_root(covariance),
+        }
+        for name, value in fields.items():
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def white(cls, intensity: Any, period: float, *, seed: Any, bias: Any = 0.0) -> HeldNoise:
+        """White noise of an intensity, held for a period.
+
+        covariance = intensity / period: then the integral over a time T has the covariance
+        intensity T, however short the period.
+
+        Parameters
+        ----------
+        intensity : float or array, shape (q, q), symmetric and positive semidefinite
+            Covariance per unit of bandwidth: [N^2 s] for a force.
+        period : float > 0 [s]
+            Time for which each value is held; short against the system's time constants.
+        seed : int >= 0 or numpy.random.Generator
+        bias : float or array, shape (q,), optional
+
+        Returns
+        -------
+        HeldNoise
+
+        References
+        ----------
+        Astrom, *Introduction to Stochastic Control Theory*, chapter 3.
+
+        Examples
+        --------
+        >>> HeldNoise.white(0.5, 0.01, seed=1).covariance
+        array([[50.]])
+        """
+        intensity = covariance_matrix("intensity", intensity)
+        return cls(intensity / _validate.positive("period", period), period, seed=seed, bias=bias)
+
+    @property
+    def size(self) -> int:
+        """Number of components q."""
+        return len(self.covariance)
+
+    def __call__(self, t: float, number: int | None = None) -> np.ndarray:
+        """Evaluate the noise at a time.
+
+        Parameters
+        ----------
+        t : float >= 0 [s]
+        number : int > 0, optional
+            Number of trajectories.
+
+        Returns
+        -------
+        array, shape (q,) or (q, number)
+            Without number, that of the first trajectory.
+        """
+        t = _validate.non_negative("t", t)
+        # A tick k * period must not fall into period k - 1 by rounding.
+        tick = int(np.floor(t / self.period * (1 + 1e-12) + 1e-9))
+        generator = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(tick,)))
+        count = 1 if number is None else _validate.integer("number", number, 1)
+        # One row a trajectory: more of them leave the first ones as they are.
+        values = generator.standard_normal((count, self.size)) @ self._root + self.bias
+        return values[0] if number is None else values.T
+
+    def __repr__(self) -> str:
+        covariance, bias = (
+            " ".join(
+                np.array2string(
+                    a + 0.0, separator=", ", formatter={"float": lambda value: f"{value:.4g}"}
+                ).split()
+            )
+            for a in (self.covariance, self.bias)
+        )
+        return f"HeldNoise(covariance={covariance}, period={self.period:g} s, bias={bias})"
+
+
+def _seed(seed: Any) -> int:
+    if isinstance(seed, np.random.Generator):
+        return int(seed.integers(2**32))
+    if seed is None:
+        raise TypeError(
+            "seed is required, as noise must be reproducible: give an integer or a"
+            " numpy.random.Generator"
+        )
+    return _validate.integer("seed", seed)
+
+
+def discretize_noise(A: Any, G: Any, intensity: Any, dt: float) -> np.ndarray:
+    """Covariance that white noise adds in one sample of x' = A x + G w.
+
+    Qd = integral of exp(A s) G Q G' exp(A' s) over 0..dt, Q the intensity of w: exact, and for
+    any dt.
+
+    Parameters
+    ----------
+    A : array, shape (n, n)
+    G : array, shape (n, q)
+        Where the noise enters.
+    intensity : float or array, shape (q, q), symmetric and positive semidefinite
+    dt : float > 0 [s]
+
+    Returns
+    -------
+    array, shape (n, n)
+
+    Raises
+    ------
+    TypeError, ValueError
+        A shape is wrong, or the intensity is no covariance.
+
+    References
+    ----------
+    Van Loan, IEEE Trans. Automatic Control 23 (1978) 395 (integrals from one exponential).
+
+    Examples
+    --------
+    >>> discretize_noise([[0, 1], [0, 0]], [[0], [1]], 3.0, 2.0).round(9).tolist()
+    [[8.0, 6.0], [6.0, 6.0]]
+    """
+    A = _validate.real_array("A", A, (None, None))
+    n = len(A)
+    A = _validate.real_array("A", A, (n, n))
+    G = _validate.real_array("G", G, (n, None))
+    Q = covariance_matrix("intensity", intensity, G.shape[1])
+    block = np.block([[-A, G @ Q @ G.T], [np.zeros((n, n)), A.T]])
+    E = scipy.linalg.expm(block * _validate.positive("dt", dt))
+    Qd = E[n:, n:].T @ E[:n, n:]
+    return (Qd + Qd.T) / 2
