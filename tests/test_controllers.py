@@ -86,6 +86,14 @@ def test_cost_to_go_is_the_cost():
     assert regulator.cost_to_go(x0) == pytest.approx(cost, rel=1e-7)
 
 
+def test_lqr_passes_a_complex_step():
+    regulator = sb.LQR(sb.Pendulum(), [np.pi / 2, 0], circle=["theta"], limit=30.0)
+    loop = sb.stability(lambda x: sb.Pendulum().dynamics(x, regulator(x, 0.0)), [np.pi / 2, 0])
+    A, B = sb.jacobians(sb.Pendulum(), [np.pi / 2, 0])
+    expected = np.linalg.eigvals(A - B @ regulator.K)
+    np.testing.assert_allclose(np.sort(loop.eigenvalues), np.sort(expected), rtol=1e-12)
+
+
 def test_lqr_takes_the_short_way_round_and_knows_its_level():
     regulator = sb.LQR(sb.Pendulum(), [np.pi / 2, 0], limit=3.0, circle=["theta"])
     np.testing.assert_allclose(regulator.error([np.pi / 2 - 2 * np.pi + 0.1, 0.2]), [0.1, 0.2])

@@ -257,3 +257,9 @@ def test_spectral_radius_is_one_at_the_critical_sample_time(seed):
         assert radius(h) == pytest.approx(1, abs=1e-10)
         assert radius(1.0001 * h) > 1
         assert all(radius(step) < 1 for step in np.linspace(0.01, 0.9999, 100) * h)
+
+
+@pytest.mark.parametrize("method", ["zoh", "foh"])
+def test_overflow_is_refused(method):
+    with pytest.raises(ValueError, match="dt must be shorter"):
+        sb.discretize_many([[1.0]], [[1.0]], 1e4, method)

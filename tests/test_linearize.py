@@ -230,6 +230,8 @@ def test_no_equilibrium_raises():
     ("fixed", "message"), [(["angle"], "got 'angle'"), (["theta", "omega", "torque"], "at least")]
 )
 def test_fixed_labels_are_checked(fixed, message):
+    with pytest.raises(TypeError, match=r"write fixed=\['theta'\]"):
+        sb.find_equilibrium(sb.Pendulum(), [0.3, 0.0], fixed="theta")
     with pytest.raises(ValueError, match=message):
         sb.find_equilibrium(sb.Pendulum(), [0.3, 0.0], fixed=fixed)
 

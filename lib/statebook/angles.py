@@ -23,4 +23,6 @@ def wrap_angle(angle: Any) -> np.ndarray:
     >>> float(wrap_angle(1.5 * np.pi)) == -0.5 * np.pi
     True
     """
-    return (np.asarray(angle) + np.pi) % (2 * np.pi) - np.pi
+    angle = np.asarray(angle)
+    # By the real part, so that a complex step passes through.
+    return angle - 2 * np.pi * np.floor((angle.real + np.pi) / (2 * np.pi))

@@ -150,6 +150,8 @@ def find_equilibrium(
     system = as_system(system, x_guess, u_guess)
     x, u = _point(system, x_guess, u_guess, batch=False)
     labels = (*system.states, *system.inputs)
+    if isinstance(fixed, str):
+        raise TypeError(f"fixed must be a sequence of labels; write fixed=[{fixed!r}]")
     fixed = system.inputs if fixed is None else tuple(fixed)
     unknown_labels = [label for label in fixed if label not in labels]
     if unknown_labels:

@@ -42,8 +42,9 @@ def discretize(
     Raises
     ------
     TypeError, ValueError
-        If sys is not linear or not in continuous time, dt is not positive, the method is
-        unknown, I - dt A (or I - dt/2 A) is singular, or prewarp does not fit.
+        If sys is not linear or not in continuous time, dt is not positive or so long that
+        exp(dt A) overflows, the method is unknown, I - dt A (or I - dt/2 A) is singular, or
+        prewarp does not fit.
 
     Notes
     -----
@@ -191,13 +192,13 @@ def one_step(
         return identity + h * A, h * B, identity, none
     if method == "zoh":
         # exp of [[A, B], [0, 0]] h: no inverse of A.
-        E = scipy.linalg.expm(h * _stacked(A, B, m))
+        E = _exponential(h * _stacked(A, B, m))
         return E[..., :n, :n], E[..., :n, n:], identity, none
     if method == "foh":
         # The ramp's response from two integrators in a row, in units of the sample time.
         block = _stacked(h * A, h * B, 2 * m)
         block[..., n : n + m, n + m :] = np.eye(m)
-        E = scipy.linalg.expm(block)
+        E = _exponential(block)
         Ad, held, ramp = E[..., :n, :n], E[..., :n, n : n + m], E[..., :n, n + m :]
         return Ad, held - ramp + Ad @ ramp, identity, ramp
     weight = h if method == "backward_euler" else h / 2
@@ -210,6 +211,14 @@ def one_step(
     Ad = S if method == "backward_euler" else S @ (identity + weight * A)
     Bd = S @ (h * B)
     return Ad, Bd, S, Bd * (weight / h)
+
+
+def _exponential(M: np.ndarray) -> np.ndarray:
+    with np.errstate(all="ignore"):
+        E = scipy.linalg.expm(M)
+    if not np.isfinite(E).all():
+        raise ValueError("dt must be shorter: exp(A dt) exceeds the largest floating-point number")
+    return E
 
 
 def _stacked(A: np.ndarray, B: np.ndarray, extra: int) -> np.ndarray:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from statebook import _validate
 from statebook.derivatives import derivative
 from statebook.linearize import linearize
 from statebook.stability.blocks import EPS
@@ -111,6 +112,8 @@ def _linear_part(
         is_discrete(dt)
     view = as_system(system, x0, u0, dt=dt)
     if isinstance(view.source, control.StateSpace):
+        if x0 is not None:  # any point will do, but not a point of another space
+            _validate.array("x0", x0, (view.n,))
         return np.asarray(view.source.A), EPS, view.dt, True, view.states
     if x0 is None:
         if not view.linear:

@@ -124,7 +124,7 @@ def _check_speed(path: Path, limits: Sequence[Limit], s: float, name: str, speed
     velocity = path(s, 1) * speed
     for limit in limits:
         if limit.squared:
-            value = velocity if limit.kind == "velocity" else np.array([np.hypot.reduce(velocity)])
+            value = velocity if limit.kind == "velocity" else np.linalg.norm(velocity, keepdims=True)
             use = np.maximum(value / limit.upper, value / limit.lower)
             row = int(use.argmax())
             if use[row] > 1 + MARGIN:
