@@ -122,9 +122,10 @@ def time_scale(
 def _check_speed(path: Path, limits: Sequence[Limit], s: float, name: str, speed: float) -> None:
     """Refuse a speed at an end of the path that exceeds a velocity limit there."""
     velocity = path(s, 1) * speed
+    norm = np.array([np.linalg.norm(velocity)])
     for limit in limits:
         if limit.squared:
-            value = velocity if limit.kind == "velocity" else np.linalg.norm(velocity, keepdims=True)
+            value = velocity if limit.kind == "velocity" else norm
             use = np.maximum(value / limit.upper, value / limit.lower)
             row = int(use.argmax())
             if use[row] > 1 + MARGIN:

@@ -1,0 +1,120 @@
+"""Checks of a timed path that share no code with the library."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.polynomial.polynomial import polyroots, polyval
+from scipy.interpolate import PPoly
+
+import statebook as sb
+
+SAMPLES = 200_000
+
+
+def excess(values: np.ndarray, bounds: np.ndarray) -> float:
+    """Return the largest relative violation of (dof, 2) bounds by values (dof, M)."""
+    return float(np.maximum(values / bounds[:, 1:], values / bounds[:, :1]).max() - 1)
+
+
+def exact_violation(timed: sb.TimedPath, curve: PPoly, v: np.ndarray, a: np.ndarray) -> float:
+    """Evaluate velocity and acceleration at their extrema: the roots of their derivatives.
+
+    Between gridpoints s'' is linear and s'^2 quadratic in s, found again from two points and
+    tried on others; so q'' and q'^2 are polynomials of s, and q' is extreme where q'' vanishes.
+    """
+    t0, t1 = timed.times[:-1], timed.times[1:]
+    use = t1 > t0
+    t0, t1, h, s0 = t0[use], t1[use], np.diff(timed.s)[use], timed.s[:-1][use]
+    x0, x1 = timed.sdot[:-1][use] ** 2, timed.sdot[1:][use] ** 2
+    start, middle = timed.progress(t0)[2], (t0 + t1) / 2
+    s, _, rate = timed.progress(middle)
+    slant = (rate - start) / (s - s0)  # s'' is linear in s
+    u = [start, slant * h]  # powers of z = (s - s0) / h
+    x = [x0, 2 * h * start, slant * h**2]
+    assert np.all(np.abs(x[0] + x[1] + x[2] - x1) < 1e-9 * np.maximum(x0, x1))
+    s, speed, _ = timed.progress(t0 + 0.3 * (t1 - t0))
+    z = (s - s0) / h
+    assert np.all(np.abs(x[0] + z * (x[1] + z * x[2]) - speed**2) < 1e-9 * np.maximum(x0, x1))
+    slope = [curve(s0, k + 1).T * h ** (k + 1) / math.factorial(k) for k in range(len(curve.c) - 1)]
+    acceleration = [m / h**2 for m in product(derivative(slope), x)]
+    for k, m in enumerate(product(slope, u)):
+        if k == len(acceleration):
+            acceleration.append(np.zeros_like(m))
+        acceleration[k] = acceleration[k] + m / h
+    square = [m / h**2 for m in product(product(slope, slope), x)]
+    worst = -1.0
+    for j in range(len(v)):
+        q1, q2 = (np.array([m[j] for m in p]) for p in (slope, acceleration))
+        near = np.abs(q2).sum(axis=0) > 0.999 * np.abs(a[j]).min()
+        for n in np.flatnonzero(near):
+            values = polyval(extrema(np.array(derivative(list(q2[:, n])))), q2[:, n])
+            worst = max(worst, (values / a[j, 1]).max() - 1, (values / a[j, 0]).max() - 1)
+        bound = sum(np.abs(m[j]) for m in square)
+        for n in np.flatnonzero(bound > 0.999 * np.abs(v[j]).min() ** 2):
+            z = extrema(q2[:, n])
+            speed = np.sqrt(np.maximum(polyval(z, [m[n] for m in x]), 0))
+            values = polyval(z, q1[:, n]) * speed / h[n]
+            worst = max(worst, (values / v[j, 1]).max() - 1, (values / v[j, 0]).max() - 1)
+    return float(worst)
+
+
+def product(p: list, q: list) -> list:
+    """Multiply polynomials given by lists of coefficients, lowest power first."""
+    result = [0.0] * (len(p) + len(q) - 1)
+    for i, a in enumerate(p):
+        for k, b in enumerate(q):
+            result[i + k] = result[i + k] + a * b
+    return result
+
+
+def derivative(p: list) -> list:
+    """Differentiate a polynomial."""
+    return [k * c for k, c in enumerate(p)][1:] or [0.0 * p[0]]
+
+
+def extrema(p: np.ndarray) -> np.ndarray:
+    """Return the real roots of a derivative within [0, 1], and both ends."""
+    kept = np.flatnonzero(np.abs(p) > 1e-15 * np.abs(p).max())
+    found = polyroots(p[: kept[-1] + 1]) if len(kept) and kept[-1] > 0 else np.zeros(0)
+    real = found.real[np.abs(found.imag) < 1e-6]
+    return np.concatenate([[0.0, 1.0], real[(real > 0) & (real < 1)]])
+
+
+def dense_violation(motion: Any, duration: float, v: np.ndarray, a: np.ndarray) -> float:
+    """Sample velocity and acceleration of a motion, (velocity, acceleration) functions of t."""
+    t = np.linspace(0, duration, SAMPLES)
+    velocity, acceleration = motion
+    return max(excess(velocity(t), v), excess(acceleration(t), a))
+
+
+def verify(timed: sb.TimedPath, curve: PPoly, case: dict[str, Any]) -> float:
+    """Return the largest violation, after checking that the motion is one along the path."""
+    v, a = np.array(case["vlim"], float), np.array(case["alim"], float)
+    size = np.abs(curve(np.linspace(curve.x[0], curve.x[-1], 99))).max()
+    ends = timed.position(0.0), timed.position(timed.duration)
+    assert np.array_equal(ends[0], curve(curve.x[0]))
+    assert np.abs(ends[1] - curve(curve.x[-1])).max() <= 1e-12 * size
+    if timed.duration == 0:
+        return -1.0
+    t = np.linspace(0, timed.duration, SAMPLES)
+    position, velocity = timed.position(t), timed.velocity(t)
+    s, _, _ = timed.progress(t)
+    assert np.abs(position - curve(s).T).max() <= 1e-9 * size, "it leaves the path"
+    assert np.all(np.diff(s) >= 0)
+    # Mean velocity and acceleration between instants cannot exceed the limits either.
+    step = t[1]
+    mean = np.diff(velocity) / step
+    rounding = 1e-15 * np.abs(velocity).max(axis=1) / step / np.abs(a).min(axis=1)
+    mean_use = np.maximum(mean / a[:, 1:], mean / a[:, :1]).max(axis=1)
+    moved = np.abs(np.diff(position) - (velocity[:, 1:] + velocity[:, :-1]) * step / 2)
+    curved = np.abs(a).max(axis=1, keepdims=True) * step**2
+    assert np.all(moved <= curved + 1e-15 * size), "velocity is not the derivative of position"
+    motion = timed.velocity, timed.acceleration
+    return max(
+        float((mean_use - rounding).max() - 1),
+        dense_violation(motion, timed.duration, v, a),
+        exact_violation(timed, curve, v, a),
+    )
