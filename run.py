@@ -3,6 +3,7 @@
 
     python3 run.py book                     execute every chapter, build the site in _build/html
     python3 run.py test [pytest options]    run every test
+    python3 run.py test --matrix            test the chapters on every Python that is here
     python3 run.py lab                      open JupyterLab in workbook/
     python3 run.py refresh [chapter files]  execute committed chapters again, in place
 
@@ -113,7 +114,7 @@ def make_venv():
 
     if Path(sys.prefix) == VENV:
         fail(".venv must be made anew and is in use; deactivate it and run this again")
-    print("making .venv for Python " + platform.python_version(), flush=True)
+    print("making %s for Python %s" % (VENV.name, platform.python_version()), flush=True)
     if VENV.is_symlink() or VENV.is_file():
         VENV.unlink()
     try:
@@ -265,6 +266,11 @@ def test(arguments):
     return run(["-m", "pytest", *options, *ignored, *arguments])
 
 
+def matrix(arguments):
+    """Test the chapters on every Python that is here, in environments below _build."""
+    return subprocess.call([sys.executable, str(ROOT / "tests" / "matrix.py"), *arguments])
+
+
 def lab(arguments):
     """Open JupyterLab in workbook/."""
     return run(["-m", "jupyterlab", *arguments], cwd=ROOT / "workbook")
@@ -284,6 +290,8 @@ def main(arguments):
         return 2
     check_python()
     try:
+        if arguments[:2] == ["test", "--matrix"]:
+            return matrix(arguments[2:])  # which makes its own environments
         ensure_environment()
         return jobs[arguments[0]](arguments[1:])
     except OSError as error:
