@@ -252,6 +252,12 @@ def test_terms_that_cancel_leave_their_rounding():
     sb.linearize(lambda x: 1e3 * np.cos(x) - 1e3 - x + (0.1 + 0.2 - 0.3) * 1e2, [0.0])
 
 
+def test_computed_rest_is_rest():
+    sb.linearize(sb.Pendulum(), [np.pi / 2, 2e-13])
+    with pytest.raises(sb.NotAnEquilibriumError):
+        sb.linearize(sb.Pendulum(), [np.pi / 2, 1e-9])
+
+
 def test_refusal_names_the_residual():
     with pytest.raises(
         sb.NotAnEquilibriumError, match=r"\|f\(x0, u0\)\| = 9\.75 against a scale of 9\."

@@ -303,7 +303,9 @@ def _judge(system: System, x: np.ndarray, u: np.ndarray) -> tuple[float, float, 
     if not residual.any():
         return 0.0, 0.0, 0.0
     z = np.concatenate([x, u])
-    displaced = z[:, None] + np.diag(0.1 * step_scale(z))
+    # What is rounding beside the other components is a zero that was computed.
+    negligible = np.abs(z) <= _ROUNDING * np.abs(z).max()
+    displaced = z[:, None] + np.diag(np.where(negligible, 1.0, 0.1 * np.abs(z)))
     values = np.abs(system.probe(displaced[: system.n], displaced[system.n :]))
     reach = np.nan_to_num(values, posinf=0.0).max(axis=1, initial=0.0)
     terms = np.abs(_jacobian_of_residual(system, x, u)) @ np.abs(z)
