@@ -29,10 +29,10 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 MODULES = (
-    "models.py",
+    "models/*.py",
     "integrate.py",
     "runge_kutta.py",
-    "linearize.py",
+    "linearize/*.py",
     "derivatives.py",
     "discretize/*.py",
     "stability/*.py",

@@ -26,23 +26,20 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 MATRIX = ROOT / "_build" / "matrix"
 PYTHONS = ("3.10", "3.11", "3.12", "3.13")
-GENERATION = ("numpy", "scipy", "matplotlib")
+PACKAGES = ("numpy", "scipy", "matplotlib")
 CORES = ("Haswell", "Nehalem")
-COLUMNS = "{:<20} {:<8} {:<7} {:<7} {:<11} {:<9} {:>6} {:>6} {:>8}"
-HEAD = ("run", "Python", *GENERATION, "core", "passed", "failed", "seconds")
+TESTS = ("workbook", "lib", "README.md")
+ROW = "{:<20} {:<8} {:<8} {:<8} {:<11} {:<9} {:>6} {:>6} {:>8}".format
+HEAD = ROW("run", "Python", *PACKAGES, "core", "passed", "failed", "seconds")
 
-# What an interpreter executes: run.py's job in another environment than .venv; its own path,
-# if it can make environments; the versions it finds, while OpenBLAS names its kernel on stderr.
-JOB = (
-    "import pathlib, run, sys\nrun.VENV = pathlib.Path(sys.argv[1])\n"
-    "sys.exit(run.main(['test', *sys.argv[2:]]))"
-)
-PATH = "import ensurepip, sys, venv; print('%d.%d' % sys.version_info[:2], sys.executable)"
-VERSIONS = (
-    "import importlib.metadata, json, platform, sys, numpy.linalg, scipy.linalg\n"
-    "versions = [importlib.metadata.version(name) for name in sys.argv[1:]]\n"
-    "print(json.dumps([platform.python_version(), *versions]))"
-)
+# What an interpreter executes: it tells where it is, if it can make environments; it does
+# run.py's job in another environment than .venv; it tells its versions.
+WHERE = "import ensurepip, sys, venv; print('%d.%d' % sys.version_info[:2], sys.executable)"
+JOB = "import pathlib, run, sys; run.VENV = pathlib.Path(sys.argv[1]); "
+JOB += "sys.exit(run.main(['test', *sys.argv[2:]]))"
+VERSIONS = "import json, matplotlib, numpy.linalg, platform, scipy.linalg; "
+VERSIONS += "found = [m.__version__ for m in (numpy, scipy, matplotlib)]; "
+VERSIONS += "print(json.dumps([platform.python_version(), *found]))"
 
 
 @dataclass(frozen=True)
@@ -78,9 +75,9 @@ def interpreters() -> dict[str, str]:
         this = version == "{}.{}".format(*sys.version_info)
         command = sys.executable if this else shutil.which("python" + version)
         if command:
-            done = subprocess.run([command, "-c", PATH], capture_output=True, text=True)
+            done = subprocess.run([command, "-c", WHERE], capture_output=True, text=True)
             name, _, path = done.stdout.strip().partition(" ")
-            if done.returncode == 0 and name == version:
+            if name == version:
                 found[version] = path
     return found
 
@@ -88,90 +85,87 @@ def interpreters() -> dict[str, str]:
 def plan(versions: list[str], machine: str) -> list[Run]:
     """Return the covering set of runs, in the order in which they happen."""
     runs = [Run(version, "newest") for version in versions]
-    runs += [Run(version, "oldest") for version in dict.fromkeys([versions[0], versions[-1]])]
+    runs += [Run(version, "oldest") for version in dict.fromkeys([*versions[:1], *versions[-1:]])]
     if machine.lower() in ("x86_64", "amd64"):
-        runs += [Run(versions[-1], "newest", core) for core in CORES]
+        runs += [Run(version, "newest", core) for version in versions[-1:] for core in CORES]
     return runs
 
 
 def oldest(requirements: str) -> str:
-    """Return pip constraints to the lower bounds of the numerical packages."""
-    pattern = rf"^({'|'.join(GENERATION)})>=(\S+)$"
-    return "".join(f"{n}=={v}\n" for n, v in re.findall(pattern, requirements, re.MULTILINE))
+    """Return pip's constraints to the lower bounds of the numerical packages."""
+    bounds = re.findall(rf"^(?:{'|'.join(PACKAGES)})>=.*\n", requirements, re.MULTILINE)
+    return "".join(bounds).replace(">=", "==")
 
 
-def inspect(run: Run) -> tuple[list[str], str]:
-    """Return the versions of Python and packages, and the BLAS kernel that is really in use."""
-    python = run.venv / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
-    env = {**run.environment(), "OPENBLAS_VERBOSE": "2"}
-    command = [str(python), "-c", VERSIONS, *GENERATION]
-    done = subprocess.run(command, capture_output=True, text=True, env=env, check=True)
-    cores = sorted(set(re.findall(r"^Core: (\w+)", done.stderr, re.MULTILINE)))
-    return json.loads(done.stdout), "/".join(cores) or "-"
-
-
-def execute(run: Run, python: str, arguments: list[str]) -> tuple[int, str]:
-    """Run the tests, with the output in a log and pip's progress shown; return code and output."""
+def execute(run: Run, python: str, tests: list[str]) -> tuple[int, str]:
+    """Run the tests with a log, showing what is installed and what is left out."""
+    command = [python, "-c", JOB, str(run.venv), "-q", *tests]
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
     lines = []
-    with (MATRIX / f"{run.name}.log").open("w", encoding="utf-8") as log:
-        with subprocess.Popen(
-            [python, "-c", JOB, str(run.venv), *arguments],
-            **{"cwd": ROOT, "env": run.environment(), "encoding": "utf-8", "errors": "replace"},
-            **{"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT},
-        ) as process:
-            for line in process.stdout or ():
-                log.write(line)
-                log.flush()
-                lines.append(line)
-                if line.startswith("  installing"):
-                    print(line, end="", flush=True)
+    with (
+        (MATRIX / f"{run.name}.log").open("w", buffering=1, encoding="utf-8") as log,
+        subprocess.Popen(command, cwd=ROOT, env=run.environment(), **streams) as process,
+    ):
+        for line in process.stdout:
+            lines.append(line.decode("utf-8", "replace"))
+            log.write(lines[-1])
+            if lines[-1].startswith(("  installing", "not executed")):
+                print(lines[-1], end="", flush=True)
     return process.returncode, "".join(lines)
 
 
-def result(run: Run, code: int, output: str, core: str) -> tuple[list[str], list[str]]:
-    """Return the cells passed, failed and seconds, and a line for each thing that is wrong."""
-    summary = re.findall(r"^.*\d+ \w+.* in [\d.]+s\b.*$", output, re.MULTILINE)
-    counts = dict.fromkeys(("passed", "failed", "error"), 0)
-    for number, kind in re.findall(r"(\d+) (passed|failed|error)", "".join(summary[-1:])):
-        counts[kind] += int(number)
-    seconds = re.findall(r" in (\d+)\.\d+s", "".join(summary[-1:])) or ["-"]
+def versions(run: Run) -> list[str]:
+    """Return the versions of Python and packages, and the BLAS kernel that is really in use."""
+    python = run.venv / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+    if not python.exists():
+        return ["-"] * 5
+    env = {**run.environment(), "OPENBLAS_VERBOSE": "2"}  # which names the kernel on stderr
+    done = subprocess.run([python, "-c", VERSIONS], capture_output=True, text=True, env=env)
+    cores = sorted(set(re.findall(r"^Core: (\w+)", done.stderr, re.MULTILINE)))
+    return [*(json.loads(done.stdout or "0") or ["-"] * 4), "/".join(cores) or "-"]
+
+
+def verdict(run: Run, code: int, output: str, core: str) -> tuple[list[str], list[str]]:
+    """Return the counts passed and failed and the seconds, and a line for all that is wrong."""
+    ends = re.findall(r"^.*\d+ \w+.* in [\d.]+s\b.*$", output, re.MULTILINE)
+    counts = {"passed": 0, "failed": 0, "error": 0}
+    for number, kind in re.findall(r"(\d+) (passed|failed|error)", "".join(ends[-1:])):
+        counts[kind] = int(number)
+    seconds = re.findall(r" in (\d+)", "".join(ends[-1:])) or ["-"]
     wrong = re.findall(r"^(?:FAILED|ERROR) .*$", output, re.MULTILINE)
-    if run.core and core != run.core:
-        wrong.append(f"OpenBLAS took {core} and not {run.core}: this processor cannot run it")
     if code and not wrong:
-        wrong = [f"exit code {code}", *output.strip().splitlines()[-3:]]
-    failed = counts["failed"] + counts["error"]
-    return [str(counts["passed"]), str(failed), *seconds], wrong
+        wrong = [f"exit code {code}", *re.findall(r"^.*\S.*$", output, re.MULTILINE)[-3:]]
+    elif run.core not in ("", core):
+        wrong.append(f"OpenBLAS uses {core} and not {run.core}, which this processor cannot run")
+    return [str(counts["passed"]), str(counts["failed"] + counts["error"]), *seconds], wrong
 
 
 def main(arguments: list[str]) -> int:
     """Do the chosen runs one after the other; return 1 if any failed."""
     end = arguments.index("--") if "--" in arguments else len(arguments)
-    patterns, tests = arguments[:end] or ["*"], arguments[end + 1 :] or ["workbook", "lib"]
+    names, tests = arguments[:end] or ["*"], arguments[end + 1 :] or list(TESTS)
     pythons = interpreters()
-    print("Python " + ", ".join(pythons), end="")
-    print("".join(f"; no python{v} works here" for v in PYTHONS if v not in pythons), flush=True)
-    runs = plan(list(pythons), platform.machine()) if pythons else []
-    chosen = [run for run in runs if any(fnmatch(run.name, pattern) for pattern in patterns)]
+    runs = plan(list(pythons), platform.machine())
+    chosen = [run for run in runs if any(fnmatch(run.name, name) for name in names)]
+    absent = ["python" + version for version in PYTHONS if version not in pythons]
+    if absent:
+        print("not here, or not able to make environments: " + ", ".join(absent))
     if not chosen:
         print("no such run; there are " + ", ".join(run.name for run in runs))
         return 2
     MATRIX.mkdir(parents=True, exist_ok=True)
     text = (ROOT / "requirements.txt").read_text(encoding="utf-8")
     (MATRIX / "oldest.txt").write_text(oldest(text), encoding="utf-8")
-    rows, failures = [COLUMNS.format(*HEAD)], 0
+    rows, failures = [HEAD], 0
     for run in chosen:
         print(f"{run.name}: running, output in {MATRIX / run.name}.log", flush=True)
-        code, output = execute(run, pythons[run.version], ["-q", *tests])
-        try:
-            versions, core = inspect(run)
-        except (OSError, subprocess.CalledProcessError):
-            versions, core = ["-"] * 4, "-"  # the installation failed, and code says so
-        cells, wrong = result(run, code, output, core)
+        code, output = execute(run, pythons[run.version], tests)
+        found = versions(run)
+        cells, wrong = verdict(run, code, output, found[-1])
         failures += bool(wrong)
-        rows.append(COLUMNS.format(run.name, *versions, core, *cells))
+        rows.append(ROW(run.name, *found, *cells))
         print("\n  ".join([rows[-1], *wrong]), flush=True)
-    print("\n" + "\n".join(rows))
+    print("\n".join(["", *rows]))
     print(f"{len(chosen) - failures} of {len(chosen)} runs passed")
     return 1 if failures else 0
 
@@ -180,4 +174,4 @@ if __name__ == "__main__":
     try:
         sys.exit(main(sys.argv[1:]))
     except KeyboardInterrupt:
-        sys.exit("interrupted; run the same command again")
+        sys.exit(1)  # run.py was interrupted too, and says so

@@ -301,6 +301,13 @@ def test_chapter_that_cannot_run_appears_as_committed(run, monkeypatch):
     assert [path.name for path in shown.iterdir()] == ["16_optimal.ipynb"]
 
 
+def test_matrix_needs_no_venv_and_gets_its_arguments(run, monkeypatch):
+    monkeypatch.setattr(run.subprocess, "call", lambda command: command)
+    command = run.main(["test", "--matrix", "3.12-*"])
+    assert command == [sys.executable, str(run.ROOT / "tests" / "matrix.py"), "3.12-*"]
+    assert run.calls == []
+
+
 def test_running_inside_a_stale_venv_is_refused(run, monkeypatch):
     spec = importlib.util.spec_from_file_location("fresh_run", ROOT / "run.py")
     module = importlib.util.module_from_spec(spec)

@@ -2,8 +2,9 @@
 
 from statebook.controllers.cart_pole import CartPoleSwingUp, cart_force
 from statebook.controllers.clocked import simulate_clocked
-from statebook.controllers.feedback import LQR, PD, PID
+from statebook.controllers.lqr import LQR
 from statebook.controllers.open_loop import bang_bang
+from statebook.controllers.pid import PD, PID
 from statebook.controllers.swing_up import SwingUp
 
 __all__ = [

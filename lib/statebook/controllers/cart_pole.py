@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from statebook import _validate
-from statebook.controllers.feedback import LQR
+from statebook.controllers.lqr import LQR
 from statebook.models import CartPole
 from statebook.simulate import simulate
 from statebook.systems import System

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from statebook import _validate
-from statebook.controllers.feedback import LQR
+from statebook.controllers.lqr import LQR
 from statebook.models import Pendulum
 
 

@@ -38,8 +38,8 @@ def monte_carlo(
         In discrete time the period is its sample time.
     x0 : array, shape (n,) or (n, N)
         One initial state for all, or one a trajectory.
-    policy : callable, optional
-        u(x, t) for batches (n, N), or a ControlTrajectory; zero if omitted. Wrapped in
+    policy : callable, array (m,) or ControlTrajectory, optional
+        u(x, t) for batches (n, N), or what is held; zero if omitted. Wrapped in
         `with_measurement_error` and `with_actuation_error` where it meets such errors.
     number : int > 0
         N, the number of trajectories.

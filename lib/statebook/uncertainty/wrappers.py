@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from statebook import _validate
+from statebook.control_trajectory import ControlTrajectory
 from statebook.systems import System, as_system
 from statebook.uncertainty.noise import HeldNoise
 
@@ -71,7 +72,7 @@ def with_actuation_error(policy: Policy, noise: HeldNoise, *, gain: Any = 1.0) -
     Parameters
     ----------
     policy : callable
-        u(x, t) or a ControlTrajectory; takes a batch (n, N), returns (m,) or (m, N).
+        u(x, t), which takes a batch (n, N) and returns (m,) or (m, N); or a ControlTrajectory.
     noise : HeldNoise, q = m
     gain : float or array, shape (m, m), optional
         1 is a faithful actuator.
@@ -203,10 +204,10 @@ def with_parameters(model: Any, names: Sequence[str]) -> System:
 
 
 def control_of(policy: Any, x: np.ndarray, t: float, m: int) -> np.ndarray:
-    """Return a policy's controls for a batch (n, N), as (m, N)."""
-    value = _validate.real_array(
-        "policy(x, t)", policy(t) if hasattr(policy, "breakpoints") else policy(x, t)
-    )
+    """Return a policy's, plan's or constant's controls for a batch (n, N), as (m, N)."""
+    if isinstance(policy, ControlTrajectory):
+        policy = policy(t)
+    value = _validate.real_array("policy(x, t)", policy(x, t) if callable(policy) else policy)
     number = x.shape[1]
     if m == 1 and value.shape in ((), (number,)):
         value = value[None]
