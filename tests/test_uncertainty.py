@@ -232,6 +232,11 @@ def test_plans_may_be_wrapped():
     assert run.controls.shape == (1, 2, 20) and run.input_labels == ("force",)
 
 
+def test_constants_are_held():
+    run = sb.monte_carlo(sb.Particle(m=M), [0.0, 0.0], [3.0], number=2, period=0.5, duration=2.0)
+    np.testing.assert_allclose(run.states[:, 1, -1], [6.0 / M, 6.0 / M], atol=1e-8)
+
+
 def test_measurement_error_becomes_control_noise():
     K, R = np.array([[6.0, 3.0]]), np.diag([0.01, 0.04])
     h, number = 0.1, 4000
