@@ -55,6 +55,12 @@ def test_batch_gives_what_its_columns_give(system):
         np.testing.assert_allclose(system.dynamics(X, u), np.stack(columns, axis=1), rtol=1e-13)
 
 
+def test_one_input_serves_a_batch_whose_function_stacks_rows():
+    system = sb.as_system(lambda x, u: np.array([x[1], u[0]]), X, U)
+    assert system.batched
+    np.testing.assert_array_equal(system.dynamics(X, [0.5]), [X[1], [0.5] * 3])
+
+
 @pytest.mark.parametrize("function", [unbatched, transposing, mixing])
 def test_function_that_cannot_take_a_batch_is_called_by_columns(function):
     assert not sb.as_system(function, X, U).batched

@@ -89,8 +89,7 @@ def _from_control(sys: Any) -> System:
         A, B = np.asarray(sys.A), np.asarray(sys.B)
 
         def rate(x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
-            drive = B @ u
-            return A @ x + (drive[:, None] if x.ndim > drive.ndim else drive)
+            return A @ x + B @ u
     elif isinstance(sys, control.NonlinearIOSystem) and sys.nstates is not None:
 
         def rate(x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:

@@ -71,14 +71,11 @@ def takes_batches(rate: Callable, x0: np.ndarray, u0: np.ndarray) -> bool:
         warnings.simplefilter("ignore")
         try:
             batch = np.asarray(rate(xs, us, 0.0))
-            shared = np.asarray(rate(xs, us[:, 0], 0.0))
-            columns = [np.asarray(rate(xs[:, k], us[:, k], 0.0)) for k in range(weights.size)]
-            alone = [np.asarray(rate(xs[:, k], us[:, 0], 0.0)) for k in range(weights.size)]
+            columns = [np.asarray(rate(*column, 0.0)) for column in zip(xs.T, us.T, strict=True)]
         except Exception:  # whatever a function does with an array it was not written for
             return False
-    return all(
-        many.shape == xs.shape
-        and all(one.shape == x0.shape for one in ones)
-        and np.allclose(many, np.stack(ones, axis=1), rtol=1e-12, atol=0, equal_nan=True)
-        for many, ones in ((batch, columns), (shared, alone))
+    return (
+        batch.shape == xs.shape
+        and all(column.shape == x0.shape for column in columns)
+        and np.allclose(batch, np.stack(columns, axis=1), rtol=1e-12, atol=0, equal_nan=True)
     )

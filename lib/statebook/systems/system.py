@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -80,9 +80,11 @@ class System:
         array([-6.])
         """
         x, u = _validate.state_and_input(x, u, self.n, self.m)
+        if x.ndim > u.ndim:  # one input for all: a function need not know that case
+            u = np.repeat(u[:, None], x.shape[1], axis=1)
         if x.ndim == 1 or self.batched:
             return self._check(self.rate(x, u, t), x)
-        columns = [self._check(self.rate(xk, uk, t), xk) for xk, uk in _columns(x, u)]
+        columns = [self._check(self.rate(*xu, t), xu[0]) for xu in zip(x.T, u.T, strict=True)]
         return np.stack(columns, axis=1) if columns else np.empty(x.shape)
 
     def probe(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -107,9 +109,9 @@ class System:
             if self.batched:
                 return np.asarray(self.rate(x, u, 0.0))
             columns = []
-            for xk, uk in _columns(x, u):
+            for column in zip(x.T, u.T, strict=True):
                 try:
-                    columns.append(np.asarray(self.rate(xk, uk, 0.0)))
+                    columns.append(np.asarray(self.rate(*column, 0.0)))
                 except (ValueError, ArithmeticError):  # math.sqrt(-1), 1 / 0
                     columns.append(np.full(self.n, np.nan))
             return np.stack(columns, axis=1)
@@ -119,11 +121,6 @@ class System:
             return _validate.array("dynamics(x, u)", value, x.shape)
         except ValueError as error:
             raise ValueError(f"{self.name}: {error}, at x = {brief(x)}") from None
-
-
-def _columns(x: np.ndarray, u: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Pair the columns of a batch of states with theirs of the inputs, or the one input."""
-    return ((x[:, k], u if u.ndim == 1 else u[:, k]) for k in range(x.shape[1]))
 
 
 def brief(x: np.ndarray) -> str:
