@@ -47,7 +47,7 @@ def as_system(
     --------
     >>> system = as_system(lambda x, u: [x[1], u[0] - 9.8], [0, 0], [0])
     >>> system.n, system.m, system.batched
-    (2, 1, False)
+    (2, 1, True)
     """
     if isinstance(system, System):
         result = system
