@@ -1,12 +1,12 @@
 """Break the library on purpose, one place at a time, and see who notices.
 
-    python benchmarks/mutation.py --count 200 --work DIR
+    python benchmarks/mutation.py --count 200 --jobs 2 --work DIR
 
 A seeded sample of mutants (a sign, an operator, a comparison, a constant) over the modules
 below. Each one is run against the unit tests and doctests that reach its line, and against
 the chapters that reach it, as coverage knows them; the two are counted apart. Everything
-happens in a copy in DIR. A run that was interrupted goes on where it stopped; results are
-in DIR/results.jsonl, one line for each mutant.
+happens in copies in DIR, one for each job. A run that was interrupted goes on where it
+stopped; results are in DIR/results.jsonl, one line for each mutant.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import ast
 import importlib.metadata
 import json
 import os
+import queue
 import random
 import re
 import shutil
@@ -24,6 +25,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +34,7 @@ MODULES = (
     "models/*.py",
     "integrate.py",
     "runge_kutta.py",
+    "amplification.py",
     "linearize/*.py",
     "derivatives.py",
     "discretize/*.py",
@@ -39,7 +42,9 @@ MODULES = (
     "timescale/*.py",
 )
 # Tests of the project rather than of the library.
-NOT_UNIT = ("test_book", "test_regression", "test_run", "test_workbook", "test_package")
+NOT_UNIT = tuple(f"test_{name}" for name in ("book", "matrix", "package", "regression", "run",
+                                             "workbook"))  # fmt: skip
+COPIED = ("lib", "tests", "workbook", "book", "pyproject.toml", "README.md", "requirements.txt")
 
 BINARY = {
     ast.Add: ("+", "-"),
@@ -122,20 +127,22 @@ def _mutable(tree: ast.AST) -> Iterator[ast.expr]:
 
 
 class Bench:
-    """The copy of the project in which mutants are tried."""
+    """A copy of the project in which mutants are tried, one at a time."""
 
-    def __init__(self, work: Path, timeout: float) -> None:
-        self.copy = work / "copy"
-        self.work = work
+    def __init__(self, work: Path, job: int, timeout: float) -> None:
+        self.whole = work / "whole"
+        self.work = work / f"job{job}"
+        self.copy = self.work / "copy"
         self.timeout = timeout
-        whole = work / "whole"
-        if not whole.exists():
-            for name in ("lib", "tests", "workbook"):
-                ignored = shutil.ignore_patterns("__pycache__", ".*")
-                shutil.copytree(ROOT / name, whole / name, ignore=ignored)
-            shutil.copy(ROOT / "pyproject.toml", whole)
+        if not self.whole.exists():
+            ignored = shutil.ignore_patterns("__pycache__", ".*")
+            for source in (ROOT / name for name in COPIED):
+                if source.is_dir():
+                    shutil.copytree(source, self.whole / source.name, ignore=ignored)
+                else:
+                    shutil.copy(source, self.whole)
         # A run that was interrupted may have left its mutant behind.
-        shutil.copytree(whole, self.copy, dirs_exist_ok=True)
+        shutil.copytree(self.whole, self.copy, dirs_exist_ok=True)
         points = importlib.metadata.entry_points(group="pytest11")
         loaded = any(point.value == "statebook.regression.plugin" for point in points)
         self.plugin = [] if loaded else ["-p", "statebook.regression.plugin"]
@@ -177,7 +184,7 @@ class Bench:
 
     def reach(self) -> dict[str, dict[str, Any]]:
         """For each file, its lines with the tests and the chapters that execute them."""
-        stored = self.work / "reach.json"
+        stored = self.whole.parent / "reach.json"
         if stored.exists():
             result: dict[str, dict[str, Any]] = json.loads(stored.read_text())
             return result
@@ -214,7 +221,7 @@ class Bench:
             # Outputs of the library as it is now, which are what a mutant must change.
             refresh = [sys.executable, "-m", "statebook.regression", "refresh", chapter]
             subprocess.run(refresh, cwd=self.copy, env=self._environment(), capture_output=True)
-            shutil.copy(path, self.work / "whole" / "workbook")
+            shutil.copy(path, self.whole / "workbook")
             outcome = self.pytest(*cover, *self._nbval(), chapter)
             print(f"{chapter} without a mutant: {outcome}", flush=True)
             if outcome == "passed":
@@ -298,31 +305,42 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=200, help="mutants in the sample")
     parser.add_argument("--seed", type=int, default=1, help="seed of the sample")
     parser.add_argument("--timeout", type=float, default=120.0, help="seconds for one test run")
-    parser.add_argument("--work", type=Path, required=True, help="folder for the copy and results")
+    parser.add_argument("--jobs", type=int, default=1, help="mutants tried at the same time")
+    parser.add_argument("--work", type=Path, required=True, help="folder for copies and results")
     options = parser.parse_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit("ended"))
     options.work.mkdir(parents=True, exist_ok=True)
-    bench = Bench(options.work.resolve(), options.timeout)
-    reach = bench.reach()
-    library = bench.copy / "lib" / "statebook"
+    first = Bench(options.work.resolve(), 0, options.timeout)
+    reach = first.reach()
+    benches: queue.Queue[Bench] = queue.Queue()
+    benches.put(first)
+    for job in range(1, options.jobs):
+        benches.put(Bench(options.work.resolve(), job, options.timeout))
+    library = first.whole / "lib" / "statebook"
     files = sorted(path for pattern in MODULES for path in library.glob(pattern))
-    population = [mutant for path in files for mutant in mutants(path, bench.copy)]
+    population = [mutant for path in files for mutant in mutants(path, first.whole)]
     sample = random.Random(options.seed).sample(population, min(options.count, len(population)))
     stored = options.work / "results.jsonl"
     results = (
         [json.loads(line) for line in stored.read_text().splitlines()] if stored.exists() else []
     )
     done = {(r["file"], r["start"], r["new"]) for r in results}
-    for index, mutant in enumerate(sample, start=1):
-        if (mutant["file"], mutant["start"], mutant["new"]) in done:
-            continue
-        result = bench.judge(mutant, reach)
-        results.append(result)
-        with stored.open("a") as file:
+    todo = [m for m in sample if (m["file"], m["start"], m["new"]) not in done]
+
+    def judge(mutant: dict[str, Any]) -> dict[str, Any]:
+        bench = benches.get()
+        try:
+            return bench.judge(mutant, reach)
+        finally:
+            benches.put(bench)
+
+    with ThreadPoolExecutor(options.jobs) as pool, stored.open("a", buffering=1) as file:
+        for index, result in enumerate(pool.map(judge, todo), start=1 + len(sample) - len(todo)):
+            results.append(result)
             file.write(json.dumps(result) + "\n")
-        print(f"[{index}/{len(sample)}] {result['file']}:{result['line']} {result['old']!r} -> "
-              f"{result['new']!r}: tests {result['tests']}, chapters {result['chapters']}, "
-              f"{result['seconds']} s", flush=True)  # fmt: skip
+            print(f"[{index}/{len(sample)}] {result['file']}:{result['line']} {result['old']!r} -> "
+                  f"{result['new']!r}: tests {result['tests']}, chapters {result['chapters']}, "
+                  f"{result['seconds']} s", flush=True)  # fmt: skip
     print(f"{len(sample)} of {len(population)} mutants, seed {options.seed}")
     report(results)
 

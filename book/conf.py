@@ -27,7 +27,6 @@ nb_code_prompt_hide = "Hide {type}"
 nb_render_markdown_format = "myst"
 suppress_warnings = [
     "mystnb.unknown_mime_type",  # a figure's digest has no place on a page
-    "myst.xref_missing",  # a chapter may point at one that is yet to be written
     "ref.python",  # the words of a parameter's type are prose, not references
 ]
 # python-control represents systems in Markdown, with mathematics: prefer it to plain text.

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from statebook import _validate
+from statebook.amplification import amplification_matrix
 from statebook.errors import DivergenceError
 from statebook.runge_kutta import (
     METHODS,
     SEMI_IMPLICIT_EULER,
     ButcherTableau,
-    amplification_matrix,
     as_tableau,
     stability_function,
 )

@@ -8,12 +8,8 @@ from typing import Any
 import numpy as np
 import scipy
 
-from statebook.runge_kutta import (
-    SEMI_IMPLICIT_EULER,
-    ButcherTableau,
-    amplification_matrix,
-    as_tableau,
-)
+from statebook.amplification import amplification_matrix
+from statebook.runge_kutta import SEMI_IMPLICIT_EULER, ButcherTableau, as_tableau
 from statebook.stability.blocks import EPS
 from statebook.stability.judge import UNSTABLE, judge, square
 

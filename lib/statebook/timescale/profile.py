@@ -104,9 +104,4 @@ class Profile:
 
     def slower(self, factor: float) -> Profile:
         """Return the profile of the same motion that takes factor times as long."""
-        return replace(
-            self,
-            x0=self.x0 / factor**2,
-            x1=self.x1 / factor**2,
-            controllable=self.controllable,
-        )
+        return replace(self, x0=self.x0 / factor**2, x1=self.x1 / factor**2)
