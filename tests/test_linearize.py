@@ -160,6 +160,7 @@ def test_what_is_analytic_at_the_point_is_exact(f, x0, expected):
 KINKS = {
     "abs": lambda x: abs(x),
     "sum with abs": lambda x: 1e6 * x + abs(x),
+    "parabola with abs": lambda x: 30 * x**2 + abs(x),
     "if": lambda x: [x[0] ** 2 if x[0] > 0 else -x[0]],
     "step": lambda x: [1.0 if x[0] > 0 else -1.0],
     "sign": np.sign,

@@ -8,6 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import statebook as sb
+from statebook.stability.blocks import decompose, with_comparable_couplings
+from statebook.stability.boundary import _groups
 
 STABLE, MARGINAL, UNSTABLE = "asymptotically stable", "marginally stable", "unstable"
 UNDECIDABLE = "undecidable in double precision"
@@ -230,6 +232,44 @@ def test_decoupled_rates_do_not_disturb_each_other():
     assert UNDECIDABLE not in report.reason
 
 
+def test_eigenvalues_around_minus_one_are_one_cluster():
+    """A double eigenvalue at -1 comes out as a pair on both sides of the cut of the angle."""
+    away = np.exp(1j * (np.pi - 1e-9))
+    T = np.diag([away, np.exp(2j), 1.0, np.exp(-2j), away.conj()]).astype(complex)
+    T[0, 4] = 1.0
+    groups = _groups(T, 1e-12, discrete=True)
+    assert sorted(sorted(group.tolist()) for group in groups) == [[0, 4], [1], [2], [3]]
+    T[0, 4] = 0.0  # without the coupling they are two eigenvalues, farther apart than rounding
+    assert len(_groups(T, 1e-12, discrete=True)) == 5
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_jordan_block_at_minus_one_among_others_on_the_circle(seed):
+    Q = orthogonal(5, seed)
+    A = Q @ blocks(jordan(-1, 2), rotation(2.0), [[1.0]]) @ Q.T
+    report = sb.stability(A, dt=True)
+    assert report.verdict == UNSTABLE and UNDECIDABLE not in report.reason
+    assert ": -1 on the unit circle (to within rounding) with a Jordan" in report.reason
+
+
+@pytest.mark.parametrize(("discrete", "rate"), [(False, 3.0), (True, 1.0)])
+@pytest.mark.parametrize("couplings", [(1e8, 1e-5), (1e-7, 1e-7), (1e9, 1e9)])
+def test_couplings_between_blocks_come_to_the_size_of_the_blocks(couplings, discrete, rate):
+    A = np.diag([-1.0, -2.0, -3.0])
+    A[0, 1], A[1, 2] = couplings
+    B = with_comparable_couplings(A, decompose(A), discrete)
+    assert np.linalg.eigvals(B) == pytest.approx(np.linalg.eigvals(A))
+    sizes = B[B * (1 - np.eye(3)) != 0]
+    assert len(sizes) == 2
+    assert np.all((sizes > rate / 2.1) & (sizes < rate * 2.1))
+
+
+def test_units_differ_by_no_more_than_a_choice_of_units_can():
+    A = np.array([[-1.0, 1e-40], [0.0, -2.0]])
+    B = with_comparable_couplings(A, decompose(A), discrete=False)
+    assert B[0, 1] == pytest.approx(1e-16, rel=1.0)
+
+
 def test_empty_system_is_stable_vacuously():
     report = sb.stability(np.zeros((0, 0)))
     assert report.verdict == STABLE
@@ -386,6 +426,8 @@ def test_report_reads_well():
     assert text.splitlines()[-1].endswith("p, v")
     assert "-0 " not in repr(sb.stability(np.zeros((2, 2))))
     assert "... and 38 more" in repr(sb.stability(SHIFT))
+    assert "freq. [rad/s]  time const. [s]" in repr(sb.stability(np.eye(2) / 2, dt=0.1))
+    assert "freq. [rad/sample]  time const. [sample]" in repr(sb.stability(np.eye(2) / 2, dt=True))
 
 
 # Distance to instability
@@ -486,6 +528,11 @@ def test_eigenvalue_map_agrees_with_the_quadratic_formula():
 def test_eigenvalue_map_explains_a_wrong_shape():
     with pytest.raises(ValueError, match=r"shape \(3, n, n\), got \(2, 2, 3\)"):
         sb.eigenvalue_map(lambda k: np.array([[0 * k, 1 + 0 * k], [-k, -k]]), [1.0, 2, 3])
+    grids = [1.0, 2], [1.0, 2, 3], [1.0, 2, 3, 4]
+    square = sb.eigenvalue_map(lambda *p: p[2][..., None, None] * np.eye(2), *grids)
+    assert square.shape == (2, 3, 4, 2) and np.all(square[..., 3, :] == 4)
+    with pytest.raises(ValueError, match=r"shape \(2, 3, 4, n, n\), got \(2, 3, 4, 2, 3\)"):
+        sb.eigenvalue_map(lambda *p: np.ones((2, 3, 4, 2, 3)), *grids)
     with pytest.raises(ValueError, match="at least one vector"):
         sb.eigenvalue_map(lambda: np.eye(2))
     with pytest.raises(ValueError, match="finite"):

@@ -56,6 +56,19 @@ def test_curves(curve: Any, error: type, message: str) -> None:
         sb.Path(curve)
 
 
+@pytest.mark.parametrize("width", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize("jump", [0.0, 1e-11, 1e-7])
+def test_a_jump_of_a_curve_is_one_whatever_the_knots(width: float, jump: float) -> None:
+    first, second = [1.0, -3.0, 3.0, 0.0], [0.0, 0.0, 2.0, 1.0 + jump]
+    powers = width ** np.arange(3, -1, -1)[:, None]
+    curve = PPoly((np.array([first, second]).T / powers)[:, :, None], width * np.arange(3))
+    if jump < 1e-9:
+        assert sb.Path(curve)(2 * width)[0] == pytest.approx(3)
+    else:
+        with pytest.raises(ValueError, match="continuous"):
+            sb.Path(curve)
+
+
 @pytest.mark.parametrize("s", [-0.1, 1.1, np.nan, [[0.5]]])
 def test_places_off_the_path(s: Any) -> None:
     with pytest.raises(ValueError, match="s must be"):
@@ -141,6 +154,16 @@ def test_times_outside_the_motion(t: Any) -> None:
     timed = sb.time_scale(LINE, 1.0, 1.0)
     with pytest.raises(ValueError, match="t must be"):
         timed.position(t)
+
+
+def test_rounding_at_the_ends_of_the_motion() -> None:
+    timed = sb.time_scale(LINE, 1.0, 1.0)
+    duration = timed.duration
+    beyond = np.array([-0.9e-9, 1 + 0.9e-9]) * duration
+    assert np.array_equal(timed.position(beyond), timed.position(np.array([0.0, duration])))
+    for t in (-1.1e-9 * duration, (1 + 1.1e-9) * duration):
+        with pytest.raises(ValueError, match="t must be"):
+            timed.position(t)
 
 
 # Failure explained

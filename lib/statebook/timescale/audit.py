@@ -11,7 +11,7 @@ from statebook.timescale import bernstein
 from statebook.timescale.limits import Limit, TorqueLimit, VelocityLimit
 from statebook.timescale.profile import Profile
 
-_DENSE = 17  # points per interval at which torques are looked at
+DENSE = 17  # points per interval at which torques are looked at
 _SAME = 1e-6  # uses that differ by less are the same use
 
 
@@ -85,18 +85,17 @@ def audit(profile: Profile, limits: Sequence[Limit]) -> Audit:
     uses: list[Use] = []
     for limit in limits:
         exact = limit.kind != "torque"
-        z = bernstein.nodes(limit.degree(profile.grid)) if exact else np.linspace(0, 1, _DENSE)
+        z = bernstein.nodes(limit.degree(profile.grid)) if exact else np.linspace(0, 1, DENSE)
         sampled = limit.use(profile.grid, z, profile.u(z), profile.x(z))
-        highest = sampled.max(axis=(0, 1))
-        places = [(0, 0.0)] * len(highest)
-        if exact:
-            highest, places = _maxima(profile, limit, z)
-        for row, (use, (i, fraction)) in enumerate(zip(highest, places, strict=True)):
+        highest, places = _maxima(profile, limit, z) if exact else (sampled.max(axis=(0, 1)), [])
+        for row, use in enumerate(highest):
             # Limits are reached again and again: name the first time, whatever the rounding.
-            reached = sampled[:, :, row] >= use * (1 - _SAME)
+            reached = sampled[:, :, row] >= use - _SAME * abs(use)
             if reached.any():
                 i = int(reached.any(axis=0).argmax())
                 fraction = float(z[reached[:, i].argmax()])
+            else:
+                i, fraction = places[row]
             uses.append(
                 Use(
                     limit=limit.kind,
@@ -135,7 +134,7 @@ def _maxima(
 
 def static_torques_hold(profile: Profile, limits: Sequence[Limit]) -> bool:
     """Whether the load of the robot at rest is within the torque limits all along the path."""
-    z = np.linspace(0, 1, _DENSE)
-    rest = np.zeros((_DENSE, len(profile.x0)))
+    z = np.linspace(0, 1, DENSE)
+    rest = np.zeros((DENSE, len(profile.x0)))
     torques = [limit for limit in limits if isinstance(limit, TorqueLimit)]
     return all(float(limit.use(profile.grid, z, rest, rest).max()) <= 1.0 for limit in torques)

@@ -58,12 +58,15 @@ class Limit:
         return value if c is None else value + c
 
     def use(self, grid: Grid, z: np.ndarray, u: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """Return the part of the bounds that is used, 1 at a bound, as (K, N, R)."""
+        """Return the part of the bounds that is used, 1 at a bound, as (K, N, R).
+
+        Of a range that does not enclose 0 it is 1 plus the excess in units of the scale.
+        """
         value = self.values(grid, z, u, x)
         around = (self.lower < 0) & (self.upper > 0)
-        if around.all():
-            return np.maximum(value / self.upper, value / self.lower)
-        return 1 + np.maximum(value - self.upper, self.lower - value) / self.scale
+        upper, lower = np.where(around, self.upper, 1.0), np.where(around, self.lower, -1.0)
+        beyond = np.maximum(value - self.upper, self.lower - value) / self.scale
+        return np.where(around, np.maximum(value / upper, value / lower), 1 + beyond)
 
     def follow(
         self, grid: Grid, z: np.ndarray, u: np.ndarray, x: np.ndarray

@@ -80,10 +80,10 @@ class Profile:
         """Return the time at a fraction of an interval."""
         if z == 0:
             return float(self.times[interval])
-        i = slice(interval, interval + 1)
-        x = self.x(np.array([z]))[0, i]
-        step = travel_time(z * self.grid.h[i], self.x0[i], x, self.bulge[i] * z * z)
-        return float(self.times[interval] + step[0])
+        x = self.x(np.array([z]))[0, interval]
+        bulge = self.bulge[interval] * z * z
+        step = travel_time(z * self.grid.h[interval], self.x0[interval], x, bulge)
+        return float(self.times[interval] + step)
 
     def locate(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return the interval, s minus its left end, s' and s'' at times t (M,)."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from statebook import _validate
 from statebook.errors import InfeasiblePathError
-from statebook.timescale.audit import audit
+from statebook.timescale.audit import DENSE, audit
 from statebook.timescale.bounds import kinematic_limits
 from statebook.timescale.dynamics import torque_limit
 from statebook.timescale.explain import explain
@@ -150,7 +150,7 @@ def _within_limits(limits: Sequence[Limit], profile: Profile) -> Profile:
     for _ in range(PASSES):
         if audit(profile, limits).worst.use <= 1 + MARGIN:
             return profile
-        z = np.linspace(0, 1, 17)
+        z = np.linspace(0, 1, DENSE)
         use = np.max(
             [t.use(profile.grid, z, profile.u(z), profile.x(z)).max(axis=(0, 2)) for t in torques],
             axis=0,

@@ -66,7 +66,8 @@ class TimedPath:
         Parameters
         ----------
         t : float or array, shape (N,) [s]
-            Between 0 and the duration, both of which give the path's ends exactly.
+            Between 0 and the duration, both of which give the path's ends exactly; beyond them
+            by 1e-9 of the duration is taken for rounding.
 
         Returns
         -------
@@ -249,7 +250,7 @@ class TimedPath:
         return Trajectory(dt * np.arange(steps + 1), states, timed.acceleration(times))
 
     def _times(self, t: Any) -> np.ndarray:
-        """Check times; rounding beyond the ends is forgiven."""
+        """Check times, and put those that rounding has moved beyond the ends back there."""
         t = _validate.real_array("t", t)
         slack = 1e-9 * self.duration
         if t.ndim > 1 or np.any((t < -slack) | (t > self.duration + slack)):

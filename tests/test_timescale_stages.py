@@ -1,0 +1,248 @@
+"""The inequalities of each interval, the refinement of grids and the parts between them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.interpolate import PPoly
+
+import statebook as sb
+from statebook.timescale.bounds import kinematic_limits
+from statebook.timescale.dynamics import torque_limit
+from statebook.timescale.grid import lay_grid
+from statebook.timescale.limits import AccelerationLimit, Limit, VelocityLimit
+from statebook.timescale.profile import Profile
+from statebook.timescale.refine import refine
+from statebook.timescale.rows import stage_rows
+from statebook.timescale.solve import _first_scale
+from statebook.timescale.stages import fastest_profile
+
+ARM = sb.PlanarArm(lengths=(0.5, 0.4), masses=(2.0, 1.0))
+Z = np.linspace(0, 1, 101)
+
+
+def some_limits(kind: str, path: sb.Path) -> list[Limit]:
+    """Limits of one kind, different up and down where they can be."""
+    if kind == "torque":
+        bounds = [[-60.0, 70.0], [-30.0, 25.0]]
+        return [torque_limit(path, bounds, ARM.inverse_dynamics)]
+    pairs = np.array([[-0.7, 1.0], [-1.6, 1.2]])
+    chosen = {"velocity": (pairs, None, None), "acceleration": (None, pairs, None)}
+    return kinematic_limits(*chosen.get(kind, (None, None, 1.3)), 2)
+
+
+def at_the_edge(rows, scale: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Go from rest in random directions up to the first inequality: s'^2 at the ends, which."""
+    rng = np.random.default_rng(seed)
+    x, w = rng.uniform(0.1, 1, len(scale)), rng.uniform(-1, 1, len(scale))
+    w = np.maximum(w, -0.9 * x / rows.step)  # s'^2 stays positive
+    slope = rows.w * w[:, None] + rows.x * x[:, None]
+    with np.errstate(divide="ignore"):
+        ratio = np.where(slope > 0, -rows.c / slope, np.inf)
+    far = ratio.min(axis=1)
+    return scale * far * x, scale * far * (x + rows.step * w), ratio.argmin(axis=1)
+
+
+@pytest.mark.parametrize("kind", ["velocity", "acceleration", "speed", "torque"])
+@pytest.mark.parametrize("seed", range(3))
+def test_an_interval_at_the_edge_of_its_inequalities_is_at_its_limit(kind: str, seed: int) -> None:
+    """Never beyond it in between; on a fine grid the room that is given away is small."""
+    path = sb.Path.through(np.random.default_rng(seed).uniform(-1, 1, (2, 5)))
+    limits = some_limits(kind, path)
+    grid, _, _ = lay_grid(path, 0.0, 0.0, 400)
+    count = len(grid.h)
+    rng = np.random.default_rng(seed)
+    curvature, scale = rng.uniform(-1, 1, count), 10 ** rng.uniform(-2, 2, count)
+    rows = stage_rows(limits, grid, curvature, scale)
+    x0, x1, binding = at_the_edge(rows, scale, seed)
+    profile = Profile(grid, x0, x1, curvature, np.zeros((2, count, 2)))
+    use = limits[0].use(grid, Z, profile.u(Z), profile.x(Z))
+    highest = use.max(axis=(0, 2))
+    assert highest.max() <= 1 + (1e-6 if kind == "torque" else 1e-12)
+    assert np.median(highest) > 0.999 and highest.min() > 0.8
+    # The inequality that binds is named after the row that is used most, and its side.
+    worst = use.max(axis=0).argmax(axis=1)
+    named = [rows.labels[i] for i in binding]
+    assert np.mean(worst == [row for _, row, _ in named]) > 0.98
+    if kind == "acceleration":
+        value = limits[0].values(grid, Z, profile.u(Z), profile.x(Z))
+        upper = np.abs(value / limits[0].upper - 1).min(axis=0)[np.arange(count), worst]
+        lower = np.abs(value / limits[0].lower - 1).min(axis=0)[np.arange(count), worst]
+        sides = np.where(upper < lower, "upper", "lower")
+        assert np.mean(sides == [side for _, _, side in named]) > 0.98
+
+
+@pytest.mark.parametrize(("kind", "places"), [("speed", [0.0, 1.0]), ("acceleration", [0.5])])
+def test_a_sketch_looks_at_the_ends_or_in_the_middle(kind: str, places: list) -> None:
+    path = sb.Path.through([[0, 1, 0.5, 2], [1, 0, 0, 3.0]])
+    limits = some_limits(kind, path)
+    grid, _, _ = lay_grid(path, 0.0, 0.0, 30)
+    curvature = np.random.default_rng(0).uniform(-1, 1, len(grid.h))
+    scale = np.ones(len(grid.h))
+    x0, x1, _ = at_the_edge(stage_rows(limits, grid, curvature, scale, sketch=True), scale, 0)
+    profile = Profile(grid, x0, x1, curvature, np.zeros((2, len(scale), 2)))
+    z = np.array(places)
+    use = limits[0].use(grid, z, profile.u(z), profile.x(z)).max(axis=(0, 2))
+    assert use == pytest.approx(np.ones(len(use)), rel=1e-8)
+
+
+def parabola() -> sb.Path:
+    """p = s + s^2/2 and -2 s - s^2/4 for s from 0 to 1, in unequal joints."""
+    return sb.Path(PPoly(np.array([[[0.5, -0.25]], [[1.0, -2.0]], [[0.0, 0.0]]]), [0.0, 1.0]))
+
+
+@pytest.mark.parametrize(
+    ("joint", "side", "bounds"),
+    [
+        (0, 1, [[-9, 0.5], [-9, 9]]),
+        (0, -1, [[-0.5, 9], [-9, 9]]),
+        (1, -1, [[-9, 9], [-0.5, 9]]),
+        (1, 1, [[-9, 9], [-9, 0.5]]),
+    ],
+)
+def test_the_bend_that_keeps_a_profile_at_its_acceleration_limit(
+    joint: int, side: int, bounds: list
+) -> None:
+    """On p' u + p'' x = a with x = s'^2 and u = x'/2: h^2 du/ds is the bend."""
+    path = parabola()
+    grid, _, _ = lay_grid(path, 0.0, 0.0, 50)
+    z = np.array([0.0, 0.5, 1.0])
+    p1, p2 = grid.path(z, 1)[:, :, joint], grid.path(z, 2)[:, :, joint]
+    a = side * 0.5
+    x = np.full_like(p1, 0.4)
+    u = (a - p2 * x) / p1
+    # Along the motion x' = 2 u: du/ds = -(p'' (a - p'' x) / p'^2) - 2 p'' u / p', as p''' = 0.
+    slope = -p2 * (a - p2 * x) / p1**2 - 2 * p2 * u / p1
+    lower, upper = np.array(bounds, dtype=float).T
+    limit = AccelerationLimit("acceleration", lower, upper)
+    along = x + 2 * u[1] * (z - 0.5)[:, None] * grid.h
+    use, bulge = limit.follow(grid, z, u, along)
+    assert use == pytest.approx(np.ones(len(use)), rel=1e-9)
+    assert bulge / grid.h**2 == pytest.approx(slope[1], rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("joint", "bounds"), [(0, [[-9, 0.5], [-9, 9]]), (1, [[-9, 9], [-0.5, 9]])]
+)
+def test_the_bend_that_keeps_a_profile_at_its_velocity_limit(joint: int, bounds: list) -> None:
+    """On p'^2 x = v^2: the bend is h^2/2 d^2x/ds^2."""
+    grid, _, _ = lay_grid(parabola(), 0.0, 0.0, 50)
+    z = np.array([0.0, 0.5, 1.0])
+    p1, p2 = grid.path(z, 1)[:, :, joint], grid.path(z, 2)[:, :, joint]
+    x = (0.5 / p1) ** 2
+    lower, upper = np.array(bounds, dtype=float).T
+    use, bulge = VelocityLimit("velocity", lower, upper).follow(grid, z, 0 * x, x)
+    assert use == pytest.approx(np.ones(len(use)), rel=1e-9)
+    exact = 3 * 0.5**2 * p2[1] ** 2 / p1[1] ** 4
+    assert bulge / grid.h**2 == pytest.approx(exact, rel=1e-2)
+
+
+def straight(intervals: int, speed: np.ndarray) -> tuple[list[Limit], Profile]:
+    """A straight line under an acceleration of 1 with given s'^2 at the gridpoints."""
+    grid, _, _ = lay_grid(sb.Path.through([[0.0, 1.0]]), 0.0, 0.0, intervals)
+    x0, x1 = speed[:-1], speed[1:]
+    s = np.linspace(0, 1, intervals + 1)
+    edge = 2 * (1 - s)
+    sets = np.zeros((2, intervals, 2))
+    sets[1] = np.stack([edge[:-1], edge[1:]], axis=1)
+    limits = kinematic_limits(None, 1.0, None, 1)
+    return limits, Profile(grid, x0, x1, np.zeros(intervals), sets)
+
+
+def test_the_fastest_profile_is_not_refined_and_a_slow_one_is() -> None:
+    s = np.linspace(0, 1, 11)
+    limits, fastest = straight(10, 2 * np.minimum(s, 1 - s))
+    grid, curvature, scale = refine(limits, fastest, 1e-3)
+    assert grid.h == pytest.approx(np.full(10, 0.1))
+    assert curvature == pytest.approx(np.zeros(10))
+    assert scale == pytest.approx(2 * (1 - s[:-1]))
+    limits, slow = straight(10, 0.02 * np.minimum(s, 1 - s))
+    grid, _, _ = refine(limits, slow, 1e-3)
+    assert grid.h == pytest.approx(np.full(40, 0.025))
+    # Of each interval's time 99 % is lost; splitting in k divides the loss by k^2.
+    ends = np.sqrt(s) / np.sqrt(2)
+    share = np.diff(np.where(s <= 0.5, ends, 1 - ends[::-1]))
+    parts = np.ceil(np.sqrt(10 * share * 0.99 / 0.3)).astype(int)
+    assert sorted(set(parts)) == [2, 3]
+    mild, _, _ = refine(limits, slow, 0.3)
+    assert mild.h == pytest.approx(np.repeat(0.1 / parts, parts))
+
+
+def test_intervals_in_which_a_bottleneck_ends_are_split() -> None:
+    # Along the edge of the controllable set, below it from s = 0.5 on.
+    s = np.linspace(0, 1, 11)
+    limits, profile = straight(10, np.where(s <= 0.5, 2 * (1 - s), 1.5 * (1 - s)))
+    grid, _, _ = refine(limits, profile, 10.0)
+    parts = np.histogram(grid.s + grid.h / 2, np.linspace(0, 1, 11))[0]
+    assert parts.tolist() == [1, 1, 1, 1, 4, 4, 4, 1, 1, 1]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_refined_profiles_bend_within_bounds(seed: int) -> None:
+    pytest.importorskip("toppra")
+    path = sb.Path.through(np.random.default_rng(seed).uniform(-1, 1, (2, 6)))
+    limits = [*some_limits("velocity", path), *some_limits("acceleration", path)]
+    grid, _, _ = lay_grid(path, 0.0, 0.0, 48)
+    profile = fastest_profile(limits, grid, np.zeros(len(grid.h)), np.ones(len(grid.h)))
+    finer, curvature, scale = refine(limits, profile, 1e-4)
+    assert np.abs(curvature).max() <= 1 and np.ptp(curvature) > 0.05
+    assert scale.min() > 0
+    assert np.sum(finer.h) == pytest.approx(1.0, rel=1e-12)
+    assert finer.s[1:] == pytest.approx((finer.s + finer.h)[:-1], abs=1e-12)
+    # Shapes that follow a limit lose less than straight ones on the same grid.
+    bent = fastest_profile(limits, finer, curvature, scale)
+    plain = fastest_profile(limits, finer, 0 * curvature, scale)
+    assert bent.duration < plain.duration < profile.duration
+
+
+def test_the_first_guess_of_the_speed_is_what_brakes_away_in_time() -> None:
+    # s'^2 = 2 a (1 - s) with the braking rate a, at the left end of each interval. Joint 0 bounds
+    # braking, at 3/2; joint 1, which moves the other way, bounds the gain of speed.
+    path = sb.Path.through([[0.0, 2.0], [0.0, -1.0]])
+    grid, _, _ = lay_grid(path, 0.0, 0.0, 10)
+    limits = kinematic_limits(None, [[-3.0, np.inf], [-5.0, np.inf]], None, 2)
+    assert _first_scale(limits, grid) == pytest.approx(3 * (1 - grid.s))
+    limits += kinematic_limits([1.0, 2.0], None, None, 2)
+    assert _first_scale(limits, grid) == pytest.approx(np.minimum(3 * (1 - grid.s), 0.25))
+
+
+def test_a_joint_that_nothing_holds_is_reported_where_it_moves() -> None:
+    path = sb.Path.through([[0, 1, 1, 1.0], [0, 0, 1, 2]], kind="linear")
+    grid, _, _ = lay_grid(path, 0.0, 0.0, 9)
+    with pytest.raises(ValueError, match=r"unbounded at s = 0\.333333"):
+        _first_scale(kinematic_limits(None, [1.0, np.inf], None, 2), grid)
+
+
+def test_a_function_for_batches_is_called_with_batches() -> None:
+    pytest.importorskip("toppra")
+    single = []
+
+    def dynamics(q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+        if q.ndim == 1:
+            single.append(1)
+        return ARM.inverse_dynamics(q, qd, qdd)
+
+    path = sb.Path.through([[0.0, 1.0], [0.5, -0.5]])
+    sb.time_scale(path, torque=80.0, inverse_dynamics=dynamics)
+    assert 0 < len(single) < 10  # to find its shape, and to check what its batches give
+
+
+def test_the_use_of_ranges_around_zero_and_of_others() -> None:
+    """A row that is far from its bound has a negative use, and its place is right."""
+    pytest.importorskip("toppra")
+
+    def dynamics(q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+        high = -20 - 10 * (q[:1] - 0.5) ** 2  # the largest value is -20, in the middle of the path
+        return np.concatenate([high, 4 + qdd[:1], -0.7 * qdd[:1]]) + 0 * qdd[:1]
+
+    timed = sb.time_scale(
+        sb.Path.through([[0.0, 1.0]]),
+        torque=[[-np.inf, -5.0], [3.0, 5.0], [-1.4, 2.8]],
+        inverse_dynamics=dynamics,
+    )
+    assert timed.duration == pytest.approx(2.0, rel=1e-5)
+    never, narrow, around = timed.audit()
+    assert never.use == pytest.approx(1 - 15 / 5, rel=1e-6)
+    assert never.s == pytest.approx(0.5, abs=2e-3) and never.time == pytest.approx(1.0, abs=2e-3)
+    assert narrow.use == pytest.approx(1.0, rel=1e-6) and narrow.time == 0
+    assert around.use == pytest.approx(0.5, rel=1e-6) and around.time == 0  # 0.7 of 1.4
