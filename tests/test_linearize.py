@@ -220,6 +220,25 @@ def test_equilibrium_in_discrete_time():
     assert found.x[0] == pytest.approx(0.7390851332151607, rel=1e-15)
 
 
+@pytest.mark.parametrize(
+    ("f", "guess", "exact"),
+    [
+        # Rows and unknowns of very different size: Newton's steps must finish the search.
+        (
+            lambda x: [1e8 * (x[0] ** 3 - 2), x[0] * x[1] - 1e-6],
+            [1, 1],
+            [2 ** (1 / 3), 1e-6 / 2 ** (1 / 3)],
+        ),
+        (lambda x: x**2 - 1e-20, [1e-9], [1e-10]),
+        (lambda x: x**2 - 1e20, [1e9], [1e10]),
+        (lambda x: [1 - x[0], 1e4 * (x[1] - x[0] ** 2)], [-1, 1], [1, 1]),  # Rosenbrock's valley
+        (lambda x: np.expm1(40 * (x - 0.3)), [0.5], [0.3]),
+    ],
+)
+def test_equilibria_to_the_last_digits(f, guess, exact):
+    assert sb.find_equilibrium(f, guess).x == pytest.approx(exact, rel=1e-15)
+
+
 def test_no_equilibrium_raises():
     with pytest.raises(sb.EquilibriumNotFoundError, match="residual of 1"):
         sb.find_equilibrium(lambda x: x**2 + 1, [0.3])

@@ -177,6 +177,21 @@ def test_intervals_in_which_a_bottleneck_ends_are_split() -> None:
     assert parts.tolist() == [1, 1, 1, 1, 4, 4, 4, 1, 1, 1]
 
 
+@pytest.mark.parametrize(
+    ("speed", "expected"),
+    [
+        # Half the smaller second difference of s'^2, over the mean of the ends; at most 1.
+        ([1, 0.1, 1e-3, 1e-3, 0.1, 1], [0.801 / 1.1, 0.099 / 0.101, 1, 0.099 / 0.101, 0.801 / 1.1]),
+        ([0, 1, 0], [-1, -1]),
+        ([0, 0.2, 0.3, 0.4], [-0.5, 0, 0]),  # 0 where they do not agree in sign
+    ],
+)
+def test_a_bend_is_no_larger_than_the_mean_of_the_ends(speed: list, expected: list) -> None:
+    _, profile = straight(len(speed) - 1, np.array(speed, dtype=float))
+    _, curvature, _ = refine(kinematic_limits(None, 100.0, None, 1), profile, 10.0)
+    assert curvature == pytest.approx(expected, abs=1e-12)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_refined_profiles_bend_within_bounds(seed: int) -> None:
     pytest.importorskip("toppra")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -123,12 +123,22 @@ def find_equilibrium(
     return Equilibrium(x, u, size / scale if size else 0.0, _rank(J), int(free.size))
 
 
-def _solve(residual: Any, guess: np.ndarray) -> np.ndarray:
+def _solve(residual: Callable[[np.ndarray], np.ndarray], guess: np.ndarray) -> np.ndarray:
     """Return the least-squares solution of residual(unknowns) = 0."""
+    # The search ends at small gradients: in units of the guess's residual and size none is.
+    size, unit = np.abs(residual(guess)).max(initial=0.0) or 1.0, step_scale(guess)
     with np.errstate(all="ignore"):
-        return scipy.optimize.least_squares(
-            residual, guess, jac="3-point", x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15
-        ).x
+        solution = scipy.optimize.least_squares(
+            lambda y: residual(unit * y) / size,
+            guess / unit,
+            jac="3-point",
+            x_scale="jac",
+            xtol=1e-15,
+            ftol=1e-15,
+            gtol=1e-15,
+            max_nfev=10_000,
+        )
+    return unit * solution.x
 
 
 def _polish(system: System, z: np.ndarray, free: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
