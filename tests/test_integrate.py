@@ -121,6 +121,13 @@ def test_polynomials_in_time_are_integrated_exactly(method):
 # --- stability functions and amplification matrices
 
 
+def test_a_method_cannot_be_changed_by_accident():
+    with pytest.raises(ValueError, match="read-only"):
+        METHODS["rk4"].numerator[0] = 2.0
+    with pytest.raises(TypeError):
+        METHODS["rk4"] = METHODS["euler"]
+
+
 @pytest.mark.parametrize("method", EXPLICIT)
 def test_stability_polynomial_starts_as_the_exponential(method):
     tableau = METHODS[method]

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 import statebook as sb
 from statebook.stability.blocks import decompose, with_comparable_couplings
 from statebook.stability.boundary import _groups
+from statebook.stability.level_sets import boundary_distance
 
 STABLE, MARGINAL, UNSTABLE = "asymptotically stable", "marginally stable", "unstable"
 UNDECIDABLE = "undecidable in double precision"
@@ -170,6 +171,19 @@ def same_verdict_elsewhere(A, dt):
 def test_verdict_does_not_depend_on_coordinates_or_units(A, dt, verdict):
     for B in same_verdict_elsewhere(A, dt):
         assert sb.stability(B, dt=dt).verdict == verdict
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_double_eigenvalue_is_reported_without_its_blur(seed):
+    """Computed, it comes out as two, 1e-8 apart; the mean of the two is right to rounding."""
+    Q = orthogonal(3, seed)
+    report = sb.stability(Q @ blocks(jordan(-1, 2), [[-3]]) @ Q.T)
+    assert report.eigenvalues == pytest.approx(np.array([-1, -1, -3]), abs=1e-14)
+    Q = orthogonal(4, seed)
+    pairs = resonant(oscillator(2.0, 0.1))
+    expected = np.linalg.eigvals(oscillator(2.0, 0.1))
+    found = sb.stability(Q @ pairs @ Q.T).eigenvalues
+    assert found == pytest.approx(np.repeat(expected[np.argsort(-expected.imag)], 2), abs=1e-13)
 
 
 def test_euler_map_on_the_circle_although_its_computed_radius_is_less():
@@ -491,6 +505,17 @@ def test_distance_where_no_eigenvalue_points_to_it():
     circle = np.exp(1j * line * np.pi / 3)
     assert lowest(A, np.array([2 * z])) > 1.02 * lowest(A, circle)
     assert sb.distance_to_instability(A, dt=0.1) == pytest.approx(lowest(A, circle), rel=1e-8)
+
+
+def test_the_search_for_a_distance_ends_at_what_is_enough():
+    """In the units of the matrix: the first value that is looked at is 4 % too large here."""
+    A = 2.0**20 * np.array([[-1 + 2j, 50], [0, -1 - 2j]])
+    exact = sb.distance_to_instability(A)
+    first = np.linalg.svd(A - 2.0**20 * 2j * np.eye(2), compute_uv=False)[-1]
+    assert first > 1.02 * exact
+    close = boundary_distance(A, discrete=False, enough=0.5 * exact)
+    assert close == pytest.approx(exact, rel=1e-9)
+    assert boundary_distance(A, discrete=False, enough=2 * exact) == pytest.approx(first)
 
 
 def test_distance_is_zero_without_asymptotic_stability():

@@ -157,6 +157,18 @@ def test_pendulum_driven_up_under_gravity(load: float, kind: str) -> None:
             timed.to_trajectory(0.013)
 
 
+def test_a_short_motion_under_a_load_cannot_be_slowed_down_either() -> None:
+    angles = [-1.5, -0.6, 0.5, 1.5]
+    timed = sb.time_scale(
+        sb.Path.through([angles], kind="linear", s=angles),
+        torque=900.0,
+        inverse_dynamics=lambda q, qd, qdd: qdd + 1000 * np.cos(q),
+    )
+    assert timed.duration < 1
+    with pytest.raises(ValueError, match="rest"):
+        timed.slower(1.5)
+
+
 def test_pendulum_time_by_quadrature() -> None:
     """Full torque up to the switch, then full braking: the energy gives q'(q)."""
     m, length, g = PENDULUM

@@ -144,6 +144,16 @@ def test_inverse_dynamics_of_another_form(function: Callable, message: str) -> N
         sb.time_scale(LINE, torque=6.0, inverse_dynamics=function)
 
 
+@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
+def test_friction_is_found_at_every_scale(size: float) -> None:
+    """Beside a quadratic term a linear one shows at low speed only."""
+    path = sb.Path.through(size * np.array([[0.0, 1.0], [0.0, 2.0]]))
+    with pytest.raises(ValueError, match="quadratic in qd"):
+        sb.time_scale(
+            path, torque=1.0, inverse_dynamics=lambda q, qd, qdd: qdd + qd**2 / size + 1e-3 * qd
+        )
+
+
 def test_inverse_dynamics_that_is_no_function() -> None:
     with pytest.raises(TypeError, match="function"):
         sb.time_scale(LINE, torque=6.0, inverse_dynamics=3.0)

@@ -261,3 +261,19 @@ def test_the_use_of_ranges_around_zero_and_of_others() -> None:
     assert never.s == pytest.approx(0.5, abs=2e-3) and never.time == pytest.approx(1.0, abs=2e-3)
     assert narrow.use == pytest.approx(1.0, rel=1e-6) and narrow.time == 0
     assert around.use == pytest.approx(0.5, rel=1e-6) and around.time == 0  # 0.7 of 1.4
+
+
+def test_a_torque_that_is_never_used() -> None:
+    pytest.importorskip("toppra")
+    path = sb.Path.through([[0.0, 1.0]])
+    timed = sb.time_scale(path, 1.0, 1.0, torque=3.0, inverse_dynamics=lambda q, qd, qdd: 0 * qdd)
+    use = timed.audit().uses[-1]
+    assert (use.limit, use.use, use.time, use.s) == ("torque", 0, 0, 0)
+
+
+def test_a_movement_below_rounding_is_none() -> None:
+    # Beside positions of 1e6 a movement of 1e-8 is rounding.
+    pieces = [[[0.0], [1.0]], [[1e-8], [1e-8]], [[1e6], [1e6 + 1e-8]]]
+    grid, _, skipped = lay_grid(sb.Path(PPoly(np.array(pieces), [0, 1, 2])), 0.0, 0.0, 10)
+    assert skipped == ((0.0, 1.0),)
+    assert grid.s[0] == 1.0 and np.sum(grid.h) == pytest.approx(1.0)
