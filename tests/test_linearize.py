@@ -347,3 +347,5 @@ def test_bad_points_are_refused(x0, u0, message):
     for function in (sb.jacobians, sb.linearize, sb.find_equilibrium):
         with pytest.raises((TypeError, ValueError), match=message):
             function(sb.Pendulum(), x0, u0)
+    with pytest.raises(ValueError, match=r"shape \(2,\), got \(2, 3\)"):
+        sb.find_equilibrium(sb.Pendulum(), np.zeros((2, 3)))

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import statebook as sb
 from statebook.stability.blocks import decompose, with_comparable_couplings
 from statebook.stability.boundary import _groups
-from statebook.stability.level_sets import boundary_distance
+from statebook.stability.level_sets import _midpoints, boundary_distance
 
 STABLE, MARGINAL, UNSTABLE = "asymptotically stable", "marginally stable", "unstable"
 UNDECIDABLE = "undecidable in double precision"
@@ -505,6 +505,15 @@ def test_distance_where_no_eigenvalue_points_to_it():
     circle = np.exp(1j * line * np.pi / 3)
     assert lowest(A, np.array([2 * z])) > 1.02 * lowest(A, circle)
     assert sb.distance_to_instability(A, dt=0.1) == pytest.approx(lowest(A, circle), rel=1e-8)
+
+
+def test_the_search_looks_between_neighbouring_crossings():
+    positions = np.array([-2.0, -1.0, 1.0, 2.5])
+    between = np.array([-1.5, 0.0, 1.75])
+    assert _midpoints(positions, discrete=False) == pytest.approx(1j * between)
+    assert _midpoints(positions[:1], discrete=False) == pytest.approx(np.array([-2j]))
+    around = np.append(between, (2.5 - 2.0) / 2 + np.pi)
+    assert _midpoints(positions, discrete=True) == pytest.approx(np.exp(1j * around))
 
 
 def test_the_search_for_a_distance_ends_at_what_is_enough():
