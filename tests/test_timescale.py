@@ -118,7 +118,8 @@ def test_clamped_spline_between_two_points_is_a_straight_line() -> None:
     timed = sb.time_scale(path, 100.0, 100.0)
     assert timed.duration == pytest.approx(0.2, rel=1e-3)
     assert timed.duration > 0.2
-    assert timed.sdot[0] > 0  # p' = 0 there: s' is free
+    assert timed.sdot[0] > 0  # p' = 0 there: s' is free, up to p'' s'^2 = 100 with p'' = 6
+    assert timed.controllable[1, [0, -1]] == pytest.approx(np.sqrt([100 / 6] * 2), rel=1e-6)
     assert np.abs(timed.velocity(0.0)).max() == 0
 
 

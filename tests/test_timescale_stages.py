@@ -277,3 +277,17 @@ def test_a_movement_below_rounding_is_none() -> None:
     grid, _, skipped = lay_grid(sb.Path(PPoly(np.array(pieces), [0, 1, 2])), 0.0, 0.0, 10)
     assert skipped == ((0.0, 1.0),)
     assert grid.s[0] == 1.0 and np.sum(grid.h) == pytest.approx(1.0)
+
+
+def test_torques_are_audited_on_17_points_of_each_interval() -> None:
+    pytest.importorskip("toppra")
+    columns = set()
+
+    def dynamics(q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+        columns.add(q.size)
+        return 2 * qdd
+
+    timed = sb.time_scale(sb.Path.through([[0.0, 1.0]]), torque=1.0, inverse_dynamics=dynamics)
+    columns.clear()
+    timed.audit()
+    assert columns == {17 * (len(timed.s) - 1)}
