@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 import statebook as sb
 from statebook.stability.blocks import decompose, with_comparable_couplings
-from statebook.stability.boundary import _groups
+from statebook.stability.boundary import _groups, project
 from statebook.stability.level_sets import _midpoints, boundary_distance
 
 STABLE, MARGINAL, UNSTABLE = "asymptotically stable", "marginally stable", "unstable"
@@ -244,6 +244,11 @@ def test_decoupled_rates_do_not_disturb_each_other():
     report = sb.stability(np.diag([-1e12, -1e-6]))
     assert report.verdict == STABLE
     assert UNDECIDABLE not in report.reason
+
+
+def test_nearest_points_of_the_boundary():
+    assert project(np.array([0.5j, -2.0, 0.0]), discrete=True).tolist() == [1j, -1.0, 1.0]
+    assert project(np.array([3.0 + 2j, -1.0]), discrete=False).tolist() == [2j, 0.0]
 
 
 def test_eigenvalues_around_minus_one_are_one_cluster():
