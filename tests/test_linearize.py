@@ -233,10 +233,13 @@ def test_equilibrium_in_discrete_time():
         (lambda x: x**2 - 1e20, [1e9], [1e10]),
         (lambda x: [1 - x[0], 1e4 * (x[1] - x[0] ** 2)], [-1, 1], [1, 1]),  # Rosenbrock's valley
         (lambda x: np.expm1(40 * (x - 0.3)), [0.5], [0.3]),
+        (lambda x: np.exp(x) - 1e8, [1], [8 * np.log(10)]),
     ],
 )
 def test_equilibria_to_the_last_digits(f, guess, exact):
-    assert sb.find_equilibrium(f, guess).x == pytest.approx(exact, rel=1e-15)
+    found = sb.find_equilibrium(f, guess)
+    assert found.x == pytest.approx(exact, rel=1e-15)
+    assert found.residual < 1e-15  # relative to the terms of f
 
 
 def test_no_equilibrium_raises():
