@@ -72,6 +72,23 @@ def test_an_interval_at_the_edge_of_its_inequalities_is_at_its_limit(kind: str, 
         assert np.mean(sides == [side for _, _, side in named]) > 0.98
 
 
+@pytest.mark.parametrize("kind", ["acceleration", "torque"])
+@pytest.mark.parametrize("size", [1e-4, 1.0, 1e4])
+def test_the_inequalities_are_balanced(kind: str, size: float) -> None:
+    """Unit gradients; and a step of the second unknown does as much as one of the first."""
+    path = sb.Path.through(np.random.default_rng(1).uniform(-1, 1, (2, 5)), s=size * np.arange(5))
+    grid, _, _ = lay_grid(path, 0.0, 0.0, 2000)
+    scale = np.full(len(grid.h), size**2)
+    rows = stage_rows(some_limits(kind, path), grid, 0 * scale, scale)
+    used = np.hypot(rows.w, rows.x) > 0
+    assert np.hypot(rows.w, rows.x)[used] == pytest.approx(np.ones(used.sum()))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.where(used, (np.abs(rows.x) + np.abs(rows.c)) / np.abs(rows.w), np.inf)
+    nearest = ratio.min(axis=1)
+    assert np.all(nearest > 0.7) and np.all((nearest < 1.42) | (rows.step == 1))
+    assert np.any(rows.step < 1) and set(np.frexp(rows.step)[0]) == {0.5}  # powers of two
+
+
 @pytest.mark.parametrize(("kind", "places"), [("speed", [0.0, 1.0]), ("acceleration", [0.5])])
 def test_a_sketch_looks_at_the_ends_or_in_the_middle(kind: str, places: list) -> None:
     path = sb.Path.through([[0, 1, 0.5, 2], [1, 0, 0, 3.0]])
