@@ -6,28 +6,36 @@ A seeded sample of mutants (a sign, an operator, a comparison, a constant) over 
 below. Each one is run against the unit tests and doctests that reach its line, and against
 the chapters that reach it, as coverage knows them; the two are counted apart. Everything
 happens in copies in DIR, one for each job. A run that was interrupted goes on where it
-stopped; results are in DIR/results.jsonl, one line for each mutant.
+stopped; results are in DIR/results.jsonl, one line for each mutant. --again, after new checks
+were written, tries once more what survived.
+
+The sample depends on the text of the mutated lines alone: the rest of it stays the same while
+code around it changes. Left out are mutants that cannot matter: of `strict=` in zip and of -1
+in reshape, where NumPy takes any negative length.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
+import hashlib
 import importlib.metadata
 import json
 import os
 import queue
-import random
-import re
 import shutil
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
+
+T = TypeVar("T")
+R = TypeVar("R")
 
 ROOT = Path(__file__).resolve().parents[1]
 MODULES = (
@@ -70,20 +78,24 @@ def mutants(path: Path, root: Path) -> Iterator[dict[str, Any]]:
     starts = [0]
     for line in lines:
         starts.append(starts[-1] + len(line))
+    seen: Counter[str] = Counter()
 
     def offset(line: int, column: int) -> int:
         # ast counts columns in UTF-8 bytes.
         return starts[line - 1] + len(lines[line - 1].encode()[:column].decode())
 
     def mutant(node: ast.expr, start: int, end: int, new: str) -> dict[str, Any]:
-        file = path.relative_to(root).as_posix()
-        old = source[start:end]
+        first, last = source.rfind("\n", 0, start) + 1, source.index("\n", end)
+        change = f"[{source[start:end]} -> {new or 'nothing'}]"
+        text = f"{source[first:start].strip()} {change} {source[end:last].strip()}"
+        seen[text] += 1
         return {
-            "file": file,
+            "file": path.relative_to(root).as_posix(),
             "line": node.lineno,
+            "text": text,
+            "number": seen[text],
             "start": start,
             "end": end,
-            "old": old,
             "new": new,
         }
 
@@ -121,9 +133,19 @@ def _mutable(tree: ast.AST) -> Iterator[ast.expr]:
                 continue
             if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
                 continue
+            if isinstance(node, ast.keyword) and node.arg == "strict":
+                continue
+            if isinstance(node, ast.UnaryOp) and _calls(tree, "reshape"):
+                continue
             if isinstance(node, ast.expr):
                 yield node
             yield from _mutable(node)
+
+
+def _calls(tree: ast.AST, method: str) -> bool:
+    """Whether an expression calls a method of this name."""
+    function = tree.func if isinstance(tree, ast.Call) else None
+    return isinstance(function, ast.Attribute) and function.attr == method
 
 
 class Bench:
@@ -182,57 +204,28 @@ class Bench:
             "OPENBLAS_NUM_THREADS": "1",
         }
 
-    def reach(self) -> dict[str, dict[str, Any]]:
-        """For each file, its lines with the tests and the chapters that execute them."""
-        stored = self.whole.parent / "reach.json"
-        if stored.exists():
-            result: dict[str, dict[str, Any]] = json.loads(stored.read_text())
-            return result
-        reach: dict[str, dict[str, Any]] = {}
+    def cover(self, chapter: str | None) -> tuple[str, dict[str, Any]]:
+        """Coverage of a chapter, or for None of the unit tests, and the outcome without a mutant.
 
-        failing: list[str] = []
-
-        def add(kind: str, data: dict[str, Any], name: str | None) -> None:
-            for file, found in data["files"].items():
-                lines = found["contexts"].items() if name is None else found["executed_lines"]
-                table = reach.setdefault(file, {"tests": {}, "chapters": {}})[kind]
-                for entry in lines:
-                    line, names = entry if name is None else (entry, [name])
-                    known = table.setdefault(str(line), [])
-                    known += [n for n in map(_plain, names) if n and n not in {*known, *failing}]
-
-        units = [
-            str(path.relative_to(self.copy))
-            for path in sorted((self.copy / "tests").glob("test_*.py"))
-            if not path.stem.startswith(NOT_UNIT)
-        ]
-        report = self.work / "coverage.json"
-        cover = ["--cov=statebook", "--cov-report="]
-        outcome = self.pytest(*cover, "--cov-context=test", "lib/statebook", *units)
-        print(f"unit tests without a mutant: {outcome}", flush=True)
-        log = (self.work / "last.log").read_text("utf-8")
-        # What fails as it is would convict every mutant.
-        failing = re.findall(r"^(?:FAILED|ERROR) (\S+\.py::.+?)(?: - .*)?$", log, re.MULTILINE)
-        print("".join(f"left out, as it fails already: {name}\n" for name in failing), end="")
-        self._coverage(report)
-        add("tests", json.loads(report.read_text()), None)
-        for path in sorted((self.copy / "workbook").glob("[0-9]*.ipynb")):
-            chapter = str(path.relative_to(self.copy))
-            # Outputs of the library as it is now, which are what a mutant must change.
+        A chapter is executed and stored first: it is what a mutant of this library must change.
+        """
+        arguments = ["--cov=statebook", "--cov-report="]
+        if chapter:
             refresh = [sys.executable, "-m", "statebook.regression", "refresh", chapter]
             subprocess.run(refresh, cwd=self.copy, env=self._environment(), capture_output=True)
-            shutil.copy(path, self.whole / "workbook")
-            outcome = self.pytest(*cover, *self._nbval(), chapter)
-            print(f"{chapter} without a mutant: {outcome}", flush=True)
-            if outcome == "passed":
-                self._coverage(report)
-                add("chapters", json.loads(report.read_text()), chapter)
-        stored.write_text(json.dumps(reach))
-        return reach
-
-    def _coverage(self, report: Path) -> None:
+            shutil.copy(self.copy / chapter, self.whole / "workbook")
+            outcome = self.pytest(*arguments, *self._nbval(), chapter)
+        else:
+            units = [
+                str(path.relative_to(self.copy))
+                for path in sorted((self.copy / "tests").glob("test_*.py"))
+                if not path.stem.startswith(NOT_UNIT)
+            ]
+            outcome = self.pytest(*arguments, "--cov-context=test", "lib/statebook", *units)
+        report = self.work / "coverage.json"
         command = [sys.executable, "-m", "coverage", "json", "--show-contexts", "-q", "-o"]
         subprocess.run([*command, str(report)], cwd=self.copy, check=True)
+        return outcome, json.loads(report.read_text())
 
     def _nbval(self) -> list[str]:
         return [*self.plugin, "--nbval", "--nbval-current-env"]
@@ -276,9 +269,60 @@ def _plain(context: str) -> str:
     return context.rpartition("|")[0] or context
 
 
+def each(
+    benches: list[Bench], function: Callable[[Bench, T], R], items: Iterable[T]
+) -> Iterator[R]:
+    """Yield the function's results in order; each bench does one item at a time."""
+    free: queue.Queue[Bench] = queue.Queue()
+    for bench in benches:
+        free.put(bench)
+
+    def call(item: T) -> R:
+        bench = free.get()
+        try:
+            return function(bench, item)
+        finally:
+            free.put(bench)
+
+    with ThreadPoolExecutor(len(benches)) as pool:
+        yield from pool.map(call, items)
+
+
+def reach(benches: list[Bench], work: Path) -> dict[str, dict[str, Any]]:
+    """For each file, its lines with the tests and the chapters that execute them."""
+    stored = work / "reach.json"
+    if stored.exists():
+        known: dict[str, dict[str, Any]] = json.loads(stored.read_text())
+        return known
+    table: dict[str, dict[str, Any]] = {}
+    books = sorted((benches[0].copy / "workbook").glob("[0-9]*.ipynb"))
+    tasks = [None, *(str(book.relative_to(benches[0].copy)) for book in books)]
+    found = each(benches, Bench.cover, tasks)
+    for chapter, (outcome, data) in zip(tasks, found, strict=True):
+        print(f"{chapter or 'unit tests'} without a mutant: {outcome}", flush=True)
+        # What fails as it is would convict every mutant.
+        if outcome != "passed":
+            raise SystemExit("nothing can be said about mutants; see last.log")
+        for file, lines in data["files"].items():
+            entry = table.setdefault(file, {"tests": {}, "chapters": {}})
+            if chapter:
+                for line in lines["executed_lines"]:
+                    entry["chapters"].setdefault(str(line), []).append(chapter)
+            else:
+                for line, names in lines["contexts"].items():
+                    entry["tests"][line] = sorted({_plain(name) for name in names} - {""})
+    stored.write_text(json.dumps(table))
+    return table
+
+
 def caught(outcome: str) -> bool:
     """Whether a run noticed the mutant."""
     return outcome in ("failed", "timeout")
+
+
+def survived(result: dict[str, Any]) -> bool:
+    """Whether neither tests nor chapters noticed the mutant."""
+    return not (caught(result["tests"]) or caught(result["chapters"]))
 
 
 def report(results: list[dict[str, Any]]) -> None:
@@ -287,14 +331,23 @@ def report(results: list[dict[str, Any]]) -> None:
     for name, seen in (
         ("caught by the unit tests", [caught(r["tests"]) for r in results]),
         ("caught by the chapters", [caught(r["chapters"]) for r in results]),
-        ("caught by either", [caught(r["tests"]) or caught(r["chapters"]) for r in results]),
+        ("caught by either", [not survived(r) for r in results]),
     ):
         print(f"{name}: {sum(seen)} of {total} ({sum(seen) / total:.0%})")
-    for r in results:
-        if not (caught(r["tests"]) or caught(r["chapters"])):
-            what = f"{r['old']!r} -> {r['new']!r}"
-            print(f"survives: {r['file']}:{r['line']}: {what} (tests {r['tests']}, "
-                  f"chapters {r['chapters']})")  # fmt: skip
+    for r in filter(survived, results):
+        print(f"survives: {describe(r)}")
+
+
+def describe(result: dict[str, Any]) -> str:
+    """One line on a result."""
+    file = result["file"].removeprefix("lib/statebook/")
+    outcome = f"tests {result['tests']}, chapters {result['chapters']}"
+    return f"{file}:{result['line']}: {result['text']} ({outcome}, {result['seconds']} s)"
+
+
+def key(mutant: dict[str, Any]) -> tuple[str, str, int]:
+    """What identifies a mutant while code around it changes."""
+    return mutant["file"], mutant["text"], mutant["number"]
 
 
 def main() -> None:
@@ -306,41 +359,44 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1, help="seed of the sample")
     parser.add_argument("--timeout", type=float, default=120.0, help="seconds for one test run")
     parser.add_argument("--jobs", type=int, default=1, help="mutants tried at the same time")
+    parser.add_argument("--again", action="store_true", help="try once more what survived")
     parser.add_argument("--work", type=Path, required=True, help="folder for copies and results")
     options = parser.parse_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit("ended"))
-    options.work.mkdir(parents=True, exist_ok=True)
-    first = Bench(options.work.resolve(), 0, options.timeout)
-    reach = first.reach()
-    benches: queue.Queue[Bench] = queue.Queue()
-    benches.put(first)
-    for job in range(1, options.jobs):
-        benches.put(Bench(options.work.resolve(), job, options.timeout))
-    library = first.whole / "lib" / "statebook"
-    files = sorted(path for pattern in MODULES for path in library.glob(pattern))
-    population = [mutant for path in files for mutant in mutants(path, first.whole)]
-    sample = random.Random(options.seed).sample(population, min(options.count, len(population)))
-    stored = options.work / "results.jsonl"
+    work = options.work.resolve()
+    work.mkdir(parents=True, exist_ok=True)
+    stored = work / "results.jsonl"
     results = (
         [json.loads(line) for line in stored.read_text().splitlines()] if stored.exists() else []
     )
-    done = {(r["file"], r["start"], r["new"]) for r in results}
-    todo = [m for m in sample if (m["file"], m["start"], m["new"]) not in done]
+    if options.again:
+        results = [result for result in results if not survived(result)]
+        stored.write_text("".join(json.dumps(result) + "\n" for result in results))
+        shutil.rmtree(work / "whole")
+        (work / "reach.json").unlink()
+    benches = [Bench(work, job, options.timeout) for job in range(options.jobs)]
+    reached = reach(benches, work)
+    # Now with the outputs of all chapters as they are without a mutant.
+    benches = [Bench(work, job, options.timeout) for job in range(options.jobs)]
+    whole = work / "whole"
+    library = whole / "lib" / "statebook"
+    files = sorted(path for pattern in MODULES for path in library.glob(pattern))
+    population = [mutant for path in files for mutant in mutants(path, whole)]
 
-    def judge(mutant: dict[str, Any]) -> dict[str, Any]:
-        bench = benches.get()
-        try:
-            return bench.judge(mutant, reach)
-        finally:
-            benches.put(bench)
+    def rank(mutant: dict[str, Any]) -> bytes:
+        return hashlib.sha256(f"{options.seed} {key(mutant)}".encode()).digest()
 
-    with ThreadPoolExecutor(options.jobs) as pool, stored.open("a", buffering=1) as file:
-        for index, result in enumerate(pool.map(judge, todo), start=1 + len(sample) - len(todo)):
+    sample = sorted(population, key=rank)[: options.count]
+    # Of a mutant whose line is gone, or that another seed has drawn, no more is said.
+    results = [result for result in results if key(result) in map(key, sample)]
+    done = set(map(key, results))
+    todo = [mutant for mutant in sample if key(mutant) not in done]
+    with stored.open("a", buffering=1) as file:
+        judged = each(benches, lambda bench, mutant: bench.judge(mutant, reached), todo)
+        for index, result in enumerate(judged, start=1 + len(done)):
             results.append(result)
             file.write(json.dumps(result) + "\n")
-            print(f"[{index}/{len(sample)}] {result['file']}:{result['line']} {result['old']!r} -> "
-                  f"{result['new']!r}: tests {result['tests']}, chapters {result['chapters']}, "
-                  f"{result['seconds']} s", flush=True)  # fmt: skip
+            print(f"[{index}/{len(sample)}] {describe(result)}", flush=True)
     print(f"{len(sample)} of {len(population)} mutants, seed {options.seed}")
     report(results)
 

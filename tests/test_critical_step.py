@@ -133,6 +133,24 @@ def test_units_of_states_and_time_do_not_matter():
 CHEBYSHEV = sb.ButcherTableau("chebyshev", [[0, 0], ["1/8", 0]], [0, 1], [0, "1/8"], order=1)
 
 
+@pytest.mark.parametrize("stages", [6, 9, 12])
+def test_methods_of_many_stages(stages):
+    """R is the exponential's series up to z^s, with coefficients down to 1/s!."""
+    A = np.diag(1 / np.arange(stages, 1.0, -1), -1)
+    c = [0.0, *(1 / np.arange(stages, 1.0, -1))]
+    series = sb.ButcherTableau("series", A, np.eye(stages)[-1], c, order=stages)
+    terms = 1 / scipy.special.factorial(np.arange(stages + 1))
+    assert series.numerator == pytest.approx(terms, rel=1e-12)
+
+    def excess(h):
+        return abs(np.polynomial.polynomial.polyval(-h, terms)) - 1
+
+    scan = np.linspace(0.01, 10, 2000)
+    last = np.flatnonzero(excess(scan) > 0)[0]
+    expected = scipy.optimize.brentq(excess, scan[last - 1], scan[last], xtol=1e-14)
+    assert sb.critical_step([[-1.0]], series) == pytest.approx(expected, rel=1e-11)
+
+
 def test_touching_the_circle_is_no_crossing():
     assert sb.critical_step([[-1.0]], CHEBYSHEV) == pytest.approx(8, rel=1e-14)
     assert sb.critical_step(np.diag([-1.0, -2.0]), CHEBYSHEV) == pytest.approx(4, rel=1e-14)

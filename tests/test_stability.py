@@ -529,7 +529,7 @@ def test_the_search_for_a_distance_ends_at_what_is_enough():
     assert first > 1.02 * exact
     close = boundary_distance(A, discrete=False, enough=0.5 * exact)
     assert close == pytest.approx(exact, rel=1e-9)
-    assert boundary_distance(A, discrete=False, enough=2 * exact) == pytest.approx(first)
+    assert exact * (1 - 1e-9) <= boundary_distance(A, discrete=False, enough=2 * exact) <= first
 
 
 def test_distance_is_zero_without_asymptotic_stability():

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline, CubicSpline, PPoly
 
 import statebook as sb
+from statebook.timescale import scaling
+from statebook.timescale.audit import audit
 
 pytest.importorskip("toppra")
 
@@ -111,6 +115,13 @@ def test_maximum_speed_on_a_circle() -> None:
     curve = timed.maximum_speed(np.array([0.0, np.pi / 4, np.pi]))
     # The spline's curvature is the circle's to 0.3 % at its ends.
     assert curve == pytest.approx([np.sqrt(2), np.sqrt(2 * np.sqrt(2)), np.sqrt(2)], rel=4e-3)
+
+
+def test_maximum_speed_where_bounds_differ_with_the_direction() -> None:
+    for waypoints, expected in (([0.0, 1.0], 5.0), ([0.0, -1.0], 2.0)):
+        path = sb.Path.through([waypoints], kind="linear")
+        timed = sb.time_scale(path, velocity=[(-2.0, 5.0)], acceleration=1.0)
+        assert timed.maximum_speed(np.array([0.2, 0.7])) == pytest.approx([expected] * 2)
 
 
 def test_clamped_spline_between_two_points_is_a_straight_line() -> None:
@@ -232,6 +243,70 @@ def test_inverse_dynamics_for_single_vectors_only() -> None:
         for f in (single, arm.inverse_dynamics)
     ]
     assert durations[0] == pytest.approx(durations[1], rel=1e-9)
+
+
+@pytest.mark.parametrize("tolerance", [1e-1, 1e-3])
+@pytest.mark.parametrize("height", [0.8, 0.3, -0.8])
+@pytest.mark.parametrize("width", [2e-3, 2e-2, 0.1])
+def test_a_torque_that_changes_fast(width: float, height: float, tolerance: float) -> None:
+    """Full torque up to the switch, full braking after it; a narrow load on the way up."""
+
+    def load(q: np.ndarray) -> np.ndarray:
+        return height * np.exp(-(((q - 0.237) / width) ** 2))
+
+    timed = sb.time_scale(
+        sb.Path.through([[0.0, 1.0]]),
+        torque=1.0,
+        inverse_dynamics=lambda q, qd, qdd: qdd + load(q),
+        tolerance=tolerance,
+    )
+    t = np.linspace(0, timed.duration, 100_001)
+    assert np.abs(timed.acceleration(t) + load(timed.position(t))).max() <= 1 + 1e-6
+    s = (1 - np.cos(np.linspace(0, np.pi, 200_002))) / 2
+    work = np.concatenate([[0], np.cumsum(np.diff(s) * (load(s[1:]) + load(s[:-1])) / 2)])
+    speed = np.sqrt(2 * np.minimum(s - work, (1 - s) + (work[-1] - work)))[1:-1]
+    fastest = np.sum(np.sin(np.linspace(0, np.pi, 200_002))[1:-1] / speed) * np.pi / 200_001 / 2
+    assert fastest * (1 - 1e-5) < timed.duration < fastest * (1 + tolerance)
+
+
+@pytest.mark.parametrize("place", [0.1, 0.4])
+@pytest.mark.parametrize("height", [0.3, -0.8])
+def test_a_torque_that_jumps_is_named_so(place: float, height: float) -> None:
+    with pytest.raises(sb.InfeasiblePathError, match="jumps there") as caught:
+        sb.time_scale(
+            sb.Path.through([[0.0, 1.0]]),
+            torque=1.0,
+            inverse_dynamics=lambda q, qd, qdd: qdd + height * (q > place),
+        )
+    assert caught.value.s == pytest.approx(place, abs=1e-5)
+
+
+@pytest.mark.parametrize("rate", [2e3, 1e4])
+def test_a_ripple_finer_than_the_grid_is_kept_within_the_limit(rate: float) -> None:
+    """Too small for the choice of the grid, and too large to be left to rounding."""
+    timed = sb.time_scale(
+        sb.Path.through([[0.0, 1.0]]),
+        torque=1.0,
+        inverse_dynamics=lambda q, qd, qdd: qdd + 1e-4 * np.sin(rate * q),
+    )
+    assert timed.audit().worst.use <= 1 + 1e-9
+    assert 2 - 4e-4 < timed.duration < 2.002
+
+
+def test_what_the_audit_refuses_is_mended_or_not_returned(monkeypatch: Any) -> None:
+    path = sb.Path.through([[0.0, 1.0]])
+    timed = sb.time_scale(path, torque=1.0, inverse_dynamics=lambda q, qd, qdd: qdd + 0.1 * q)
+    hasty = timed._profile.slower(0.9)
+    limits = timed._limits
+    assert audit(hasty, limits).worst.use == pytest.approx(1 / 0.81, rel=0.1)
+    mended = scaling._within_limits(limits, hasty)
+    assert audit(mended, limits).worst.use <= 1 + 1e-9
+    assert mended.duration == pytest.approx(timed.duration, rel=1e-3)
+    monkeypatch.setattr(scaling, "PASSES", 0)
+    with pytest.raises(sb.InfeasiblePathError, match="could not be kept") as caught:
+        scaling._within_limits(limits, hasty)
+    assert caught.value.constraint == "torque of row 0"
+    assert caught.value.s == audit(hasty, limits).worst.s
 
 
 # Limits hold

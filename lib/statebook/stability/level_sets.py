@@ -12,7 +12,6 @@ _BELOW = 1e-10
 # How far from the boundary, relative to the norm, an eigenvalue may lie and count as on it.
 # Too generous costs a few evaluations, too strict would miss a piece of the level set.
 _ON_BOUNDARY = 1e-6
-_MAX_ROUNDS = 50
 # The search starts opposite this many eigenvalues, the nearest.
 _STARTS = 8
 
@@ -23,7 +22,8 @@ def boundary_distance(A: np.ndarray, discrete: bool, enough: float = 0.0) -> flo
     The level set ``sigma_min = r`` is found exactly, from the eigenvalues on the boundary of a
     Hamiltonian matrix (continuous) or symplectic pencil (discrete) of twice the size. So a
     local minimum cannot deceive the search: a level with no points is below the minimum.
-    The search ends early at a value of at most `enough`.
+    Each level is below the one before, the more so the farther it is from the minimum; the
+    search ends early at a value of at most `enough`.
     """
     scale = float(np.linalg.norm(A, 2))
     if discrete:
@@ -34,10 +34,8 @@ def boundary_distance(A: np.ndarray, discrete: bool, enough: float = 0.0) -> flo
     eigenvalues = np.linalg.eigvals(A)
     nearest = eigenvalues[np.argsort(margin(eigenvalues, discrete))[:_STARTS]]
     best, where = _lowest(A, np.unique(project(nearest, discrete)))
-    for _ in range(_MAX_ROUNDS):
+    while unit * best > enough:
         # Invariant: best = sigma_min at the boundary point `where`; the level is just below it.
-        if unit * best <= enough:
-            return unit * best
         crossings = _level_set(A, best * (1 - _BELOW), discrete)
         if len(crossings) == 0:
             break  # certainly the minimum

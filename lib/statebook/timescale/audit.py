@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from statebook.timescale import bernstein
-from statebook.timescale.limits import Limit, TorqueLimit, VelocityLimit
+from statebook.timescale.limits import DENSE, Limit, TorqueLimit, VelocityLimit
 from statebook.timescale.profile import Profile
 
-DENSE = 17  # points per interval at which torques are looked at
 _SAME = 1e-6  # uses that differ by less are the same use
 
 

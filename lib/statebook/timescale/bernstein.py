@@ -20,10 +20,15 @@ def nodes(degree: int) -> np.ndarray:
 @cache
 def from_values(degree: int) -> np.ndarray:
     """Return the matrix from values at the nodes to Bernstein coefficients."""
-    z = nodes(degree)[:, None]
+    return np.linalg.inv(to_values(degree, nodes(degree)))
+
+
+def to_values(degree: int, z: np.ndarray) -> np.ndarray:
+    """Return the matrix from Bernstein coefficients to values at points z."""
+    z = z[:, None]
     k = np.arange(degree + 1)
     binomials = np.array([comb(degree, int(i)) for i in k])
-    return np.linalg.inv(binomials * z**k * (1 - z) ** (degree - k))
+    return np.asarray(binomials * z**k * (1 - z) ** (degree - k))
 
 
 @cache

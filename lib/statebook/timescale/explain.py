@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import scipy
 
 from statebook.errors import InfeasiblePathError
+from statebook.timescale.grid import Grid
+from statebook.timescale.limits import TorqueLimit
 from statebook.timescale.stages import StuckError
+
+_JUMP = 1e-2  # part of a torque limit that is too much for the finest grids
 
 
 def explain(stuck: StuckError) -> InfeasiblePathError:
@@ -32,14 +38,24 @@ def explain(stuck: StuckError) -> InfeasiblePathError:
     limit, row, side = rows.labels[worst]
     name = limit.name(row, side)
     s = float(grid.s[i])
+    advice = "Raise that limit, or change the path or the speeds at its ends"
+    if isinstance(limit, TorqueLimit) and limit.misfit(grid, _rest(grid), _rest(grid))[i] > _JUMP:
+        advice = (
+            "The torque of the robot at rest jumps there, or changes too fast: make it smooth, or "
+            "time the path in two parts"
+        )
     if stuck.x is None:
         reason = "no speed there lets the rest of the path be driven"
     else:
         reason = "there no motion that comes from the start can go on"
     return InfeasiblePathError(
         f"the path cannot be driven within the limits: at s = {s:.6g} the {name} stands in the "
-        f"way; {reason}. "
-        "Raise that limit, or change the path or the speeds at its ends",
+        f"way; {reason}. {advice}",
         constraint=name,
         s=s,
     )
+
+
+def _rest(grid: Grid) -> Callable[[np.ndarray], np.ndarray]:
+    """Return s'' or s'^2 of a robot at rest."""
+    return lambda z: np.zeros((len(z), len(grid.h)))

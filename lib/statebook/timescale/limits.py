@@ -11,10 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from statebook.timescale import bernstein
 from statebook.timescale.grid import Grid
 
 Terms = tuple[np.ndarray | None, np.ndarray, np.ndarray | None]
 TORQUE_DEGREE = 6  # of the polynomials that stand for torques within an interval
+DENSE = 17  # points per interval at which torques are looked at
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,3 +196,14 @@ class TorqueLimit(Limit):
 
     def name(self, row: int, side: str) -> str:
         return f"torque of row {row}, {side} limit"
+
+    def misfit(self, grid: Grid, u: Callable, x: Callable) -> np.ndarray:
+        """Return the part of the bounds by which polynomials miss the torques, (N,).
+
+        u and x give s'' and s'^2, (K, N), at fractions z (K,) of the intervals.
+        """
+        nodes, dense = bernstein.nodes(TORQUE_DEGREE), np.linspace(0, 1, DENSE)
+        known, actual = (self.values(grid, z, u(z), x(z)) for z in (nodes, dense))
+        between = bernstein.to_values(TORQUE_DEGREE, dense) @ bernstein.from_values(TORQUE_DEGREE)
+        off = np.abs(bernstein.along(between, known) - actual) / self.scale
+        return np.asarray(off.max(axis=(0, 2)))

@@ -30,11 +30,14 @@ def travel_time(h: np.ndarray, x0: np.ndarray, x1: np.ndarray, bulge: np.ndarray
     """
     speeds = np.sqrt(x0) + np.sqrt(x1)
     root = np.sqrt(np.abs(bulge)) / speeds
-    small = root < 1e-9
-    root = np.where(small, 1e-9, root)
     upward = bulge > 0
-    factor = np.where(upward, np.arctanh(np.where(upward, root, 0.0)), np.arctan(root)) / root
-    return 2 * h / speeds * np.where(small, 1.0, factor)
+    inverse = np.where(upward, np.arctanh(np.where(upward, root, 0.0)), np.arctan(root))
+    return 2 * h / speeds * _quotient(inverse, root)
+
+
+def _quotient(value: np.ndarray, argument: np.ndarray) -> np.ndarray:
+    """Return f(y) / y for functions with f'(0) = 1, which have no cancellation there."""
+    return np.divide(value, argument, out=np.ones_like(argument), where=argument > 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +100,7 @@ class Profile:
         up = rate > 0
         sinh = np.where(up, np.sinh(np.where(up, half, 0.0)), np.sin(half))
         cosh = np.where(up, np.cosh(np.where(up, half, 0.0)), np.cos(half))
-        sinc = np.where(half > 1e-9, sinh / np.where(half > 1e-9, half, 1.0), 1.0) * t / 2
+        sinc = _quotient(sinh, half) * t / 2
         ds = np.clip(2 * sinc * (v0 * cosh + u0 * sinc), 0.0, h)
         speed = v0 * (cosh**2 + rate * sinc**2) + 2 * u0 * sinc * cosh
         return i, ds, np.maximum(speed, 0.0), u0 + rate * ds

@@ -102,8 +102,9 @@ def _normalized(w: np.ndarray, x: np.ndarray, c: np.ndarray, labels: list) -> Ro
     """
     c = np.maximum(c, -1e100)  # an infinite bound
     idle = np.hypot(w, x) * FREE < -c
-    reach = ((np.abs(x) + np.abs(c)) / np.maximum(np.abs(w), 1e-100)).min(axis=1)
-    step = np.exp2(np.clip(np.round(np.log2(np.maximum(reach, 1e-30))), -20, 0))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        reach = np.where(w == 0, np.inf, (np.abs(x) + np.abs(c)) / np.abs(w)).min(axis=1)
+        step = np.exp2(np.clip(np.round(np.log2(reach)), -20, 0))
     w = w * step[:, None]
     size = np.hypot(w, x)
     factor = 1 / np.where(idle | (size == 0), 1.0, size)

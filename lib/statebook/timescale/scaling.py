@@ -9,12 +9,12 @@ import numpy as np
 
 from statebook import _validate
 from statebook.errors import InfeasiblePathError
-from statebook.timescale.audit import DENSE, audit
+from statebook.timescale.audit import audit
 from statebook.timescale.bounds import kinematic_limits
 from statebook.timescale.dynamics import torque_limit
 from statebook.timescale.explain import explain
 from statebook.timescale.grid import lay_grid
-from statebook.timescale.limits import Limit, TorqueLimit
+from statebook.timescale.limits import DENSE, Limit, TorqueLimit
 from statebook.timescale.path import Path
 from statebook.timescale.profile import Profile
 from statebook.timescale.rows import MARGIN
@@ -56,7 +56,8 @@ def time_scale(
     torque : float > 0 or array, shape (rows,) or (rows, 2), optional
         Bounds on the rows of the inverse dynamics.
     inverse_dynamics : callable, optional
-        (q, qd, qdd) -> (rows,) or (rows, N): any number of rows, affine in qdd, quadratic in qd.
+        (q, qd, qdd) -> (rows,) or (rows, N): any number of rows, affine in qdd, quadratic in qd,
+        without a jump along the path.
     start_speed, end_speed : float >= 0
         ds/dt at the ends. Where p' = 0 at an end the robot is at rest whatever s' is: there the
         default 0 leaves s' free.
