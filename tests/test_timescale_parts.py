@@ -103,6 +103,8 @@ def test_sections_begin_and_end_where_the_motion_must_stop() -> None:
     assert [(part.start, part.end) for part in grid.sections] == [(0.25, 0.0), (0.0, 0.0)]
     assert stops == (pytest.approx(2 / 3),)
     assert skipped == ((pytest.approx(1 / 3), pytest.approx(2 / 3)),)
+    pauses = sb.Path.through([[0, 1, 1, 2, 2, 2, 3, 3]], kind="linear", s=np.arange(8))
+    assert lay_grid(pauses, 0.0, 0.0, 10)[2] == ((1.0, 2.0), (3.0, 5.0), (6.0, 7.0))
     clamped = sb.Path.through([[0, 1, 0, 2]], bc_type="clamped")
     grid, stops, _ = lay_grid(clamped, 0.0, 0.0, 10)
     assert (grid.sections[0].start, grid.sections[-1].end) == (None, None)
