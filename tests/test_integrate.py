@@ -258,6 +258,20 @@ def test_semi_implicit_euler_stays_bounded_where_euler_does_not():
         sb.integrate_euler(f, [1.0, 0.0], 5000, 1.9)
 
 
+@pytest.mark.parametrize("method", ["backward_euler", "implicit_midpoint"])
+@pytest.mark.parametrize("unit", [1e-12, 1e-6, 1e12])
+def test_implicit_steps_do_not_depend_on_units(method, unit):
+    def states(unit):
+        decay = sb.integrate(
+            lambda x, t: [-(x[0] ** 2) / unit, x[0] - x[1]], [unit, 0.0], 5, 0.5, method=method
+        )
+        return decay[1]
+
+    assert states(unit) / unit == pytest.approx(states(1.0), rel=1e-11)
+    if method == "backward_euler":
+        assert states(1.0)[1, 0] == pytest.approx(np.sqrt(3) - 1)  # y + y^2/2 = 1
+
+
 def test_backward_euler_on_a_stiff_system():
     # x' = -1e6 (x - cos t) - sin t has the solution cos t; the error is dt / (2e6) at most.
     ts, xs = sb.integrate(

@@ -9,8 +9,10 @@ from hypothesis import strategies as st
 
 import statebook as sb
 from statebook.stability.blocks import decompose, with_comparable_couplings
-from statebook.stability.boundary import _groups, project
+from statebook.stability.boundary import _groups, _linked, project
+from statebook.stability.judge import judge
 from statebook.stability.level_sets import _midpoints, boundary_distance
+from statebook.stability.maps import sort_eigenvalues, sorting
 
 STABLE, MARGINAL, UNSTABLE = "asymptotically stable", "marginally stable", "unstable"
 UNDECIDABLE = "undecidable in double precision"
@@ -251,6 +253,24 @@ def test_nearest_points_of_the_boundary():
     assert project(np.array([3.0 + 2j, -1.0]), discrete=False).tolist() == [2j, 0.0]
 
 
+def test_a_cluster_is_linked_all_the_way():
+    """Rounding may put eigenvalues at four places on the way from 0 to 1, or at three of them."""
+    ways = np.array([0.25, 0.5, 0.75, 1.0])
+    assert _linked(np.diag(ways).astype(complex), 0j, 1 + 0j, 1e-12)
+    for missing in range(4):
+        others = np.diag(np.delete(ways, missing)).astype(complex)
+        assert not _linked(others, 0j, 1 + 0j, 1e-12)
+
+
+@pytest.mark.parametrize("size", [1e-12, 1.0, 1e12])
+def test_eigenvalues_are_sorted_at_every_size(size):
+    values = np.array([-2.0, -1 - 1j, -1 + 1j, 0.5])
+    order = [3, 2, 1, 0]
+    assert sort_eigenvalues(size * values).tolist() == (size * values[order]).tolist()
+    noise = np.array([1e-12, -1e-12, 0, 0])  # does not shuffle a pair
+    assert sorting(size * (values[[1, 2, 0, 3]] + noise)).tolist() == [3, 1, 0, 2]
+
+
 def test_eigenvalues_around_minus_one_are_one_cluster():
     """A double eigenvalue at -1 comes out as a pair on both sides of the cut of the angle."""
     away = np.exp(1j * (np.pi - 1e-9))
@@ -294,6 +314,7 @@ def test_empty_system_is_stable_vacuously():
     assert report.verdict == STABLE
     assert report.eigenvalues.shape == (0,)
     assert report.modes == ()
+    assert judge(np.zeros((0, 0)), discrete=False).participations.shape == (0, 0)
     assert sb.distance_to_instability(np.zeros((0, 0))) == np.inf
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from statebook import _validate
 from statebook.amplification import amplification_matrix
+from statebook.derivatives import step_scale
 from statebook.errors import DivergenceError
 from statebook.runge_kutta import (
     METHODS,
@@ -245,9 +246,10 @@ def _implicit_stages(
 def _jacobian(f: Function, x: np.ndarray, t: float, value: np.ndarray) -> np.ndarray:
     """Forward differences: Newton's method corrects their error in its next iteration."""
     J = np.empty((x.size, x.size), dtype=x.dtype)
+    steps = _DIFFERENCE * step_scale(np.ravel(x))
     for j, component in enumerate(np.ravel(x)):
         shifted = np.array(x)
-        shifted.flat[j] += _DIFFERENCE * max(1.0, abs(component))
+        shifted.flat[j] += steps[j]
         J[:, j] = np.ravel(f(shifted, t) - value) / (shifted.flat[j] - component)
     return J
 
