@@ -11,6 +11,7 @@ import pytest
 import sympy as sp
 
 import statebook as sb
+from statebook.derivatives import derivative
 
 MODELS = [
     sb.Particle(m=2.3, dim=2),
@@ -142,6 +143,17 @@ def test_what_is_not_analytic_is_detected_and_still_right(f, x0, expected):
     with pytest.warns(sb.InexactDerivativeWarning, match="estimated error of"):
         A, _ = sb.jacobians(f, x0)
     np.testing.assert_allclose(A, expected, rtol=1e-9, atol=1e-10)
+
+
+def test_the_warning_points_to_the_caller():
+    with pytest.warns(sb.InexactDerivativeWarning) as caught:
+        sb.jacobians(lambda x: x * abs(x), [1.0])
+    assert [warning.filename for warning in caught] == [__file__]
+
+
+def test_a_function_of_nothing_has_no_derivatives():
+    J, error = derivative(lambda z: np.zeros((2, 3)), np.zeros((0, 3)))
+    assert J.shape == error.shape == (3, 2, 0)
 
 
 ANALYTIC_PIECES = {
