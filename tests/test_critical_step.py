@@ -200,6 +200,16 @@ def test_semi_implicit_euler_on_any_stable_matrix(seed):
     assert radius(A, h, "semi_implicit_euler") == pytest.approx(1, abs=1e-9)
 
 
+def test_a_narrow_window_of_growth_is_found():
+    """det(M + I) = 4 + 2 h tr A + h^2 (ad + bc) has two roots, and is negative between them."""
+    small = 1e-8
+    A = np.array([[-1.0, 1.0], [0.0625 - small, -0.5]])
+    first, last = (3 + 4 * np.sqrt(small) * np.array([-1, 1])) / (2 * (0.5625 - small))
+    assert sb.critical_step(A, "semi_implicit_euler") == pytest.approx(first, rel=1e-9)
+    assert radius(A, (first + last) / 2, "semi_implicit_euler") > 1
+    assert radius(A, last + 1e-3, "semi_implicit_euler") < 1
+
+
 def test_prediction_agrees_with_simulation():
     for method in ("euler", "rk4", "semi_implicit_euler"):
         h = sb.critical_step(DAMPED, method)

@@ -169,6 +169,22 @@ def test_pendulum_driven_up_under_gravity(load: float, kind: str) -> None:
             timed.to_trajectory(0.013)
 
 
+def test_the_lowest_speed_that_carries_a_pendulum_over_its_load() -> None:
+    """Up to the angle from which full torque lifts it, the work that is missing on the way."""
+    m, length, g = PENDULUM
+    load = m * g * length
+    torque = load / 1.11
+    angles = np.array([-np.pi / 2, np.pi / 2])
+    path = sb.Path.through([angles], s=angles)
+    timed = sb.time_scale(path, torque=torque, inverse_dynamics=pendulum_torque)
+    easy = np.arccos(1 / 1.11)
+    missing = load * (np.sin(easy) - np.sin(timed.s)) - torque * (easy - timed.s)
+    square = np.where(timed.s < easy, 2 * np.maximum(missing, 0) / (m * length**2), 0)
+    assert square.max() > 1
+    assert timed.controllable[0] ** 2 == pytest.approx(square, abs=0.15)  # on intervals of pi/48
+    assert np.all(timed.controllable[0] <= timed.sdot)
+
+
 def test_a_short_motion_under_a_load_cannot_be_slowed_down_either() -> None:
     angles = [-1.5, -0.6, 0.5, 1.5]
     timed = sb.time_scale(
@@ -474,6 +490,8 @@ def test_a_path_of_no_length_takes_no_time() -> None:
     assert timed.duration == 0
     assert timed.position(0.0) == pytest.approx([0.3, 1.0])
     assert timed.velocity(0.0) == pytest.approx([0, 0])
+    assert timed.progress(0.0) == (0, 0, 0)
+    assert timed.controllable.shape == (2, 0)
     assert timed.to_trajectory(0.1).states.shape == (4, 1)
     assert [use.use for use in timed.audit()] == [0, 0, 0, 0]
 

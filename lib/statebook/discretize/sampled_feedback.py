@@ -93,17 +93,16 @@ def critical_sample_time(A: Any, B: Any, K: Any) -> float:
         h, aliased = (np.array(column) for column in zip(*chunk, strict=True))
         excess = growth(h)
         touching = aliased & (np.abs(excess) <= _TOUCH)
-        if np.any(touching | (excess >= 0)):
-            k = int(np.argmax(touching | (excess >= 0)))
-            if touching[k]:
-                return float(h[k])
-            low = h[k - 1] if k > 0 else low
-            return float(
-                scipy.optimize.brentq(
-                    lambda t: growth(np.array([t]))[0], low, h[k], xtol=1e-300, rtol=1e-14
+        for time, touches, grows in zip(h, touching, excess >= 0, strict=True):
+            if touches:
+                return float(time)
+            if grows:
+                return float(
+                    scipy.optimize.brentq(
+                        lambda t: growth(np.array([t]))[0], low, time, xtol=1e-300, rtol=1e-14
+                    )
                 )
-            )
-        low = float(h[-1])
+            low = time
     return float("inf")
 
 

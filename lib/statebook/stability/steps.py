@@ -153,8 +153,9 @@ def _positive_roots(coefficients: np.ndarray) -> list[float]:
         slope = simple.deriv()
         r = float(np.mean(group))
         for _ in range(3):
-            step = float(simple(r) / slope(r)) if slope(r) else 0.0
-            r -= step if abs(step) <= _SAME_ROOT * r else 0.0
+            step = float(simple(r) / slope(r)) if slope(r) else np.inf
+            if abs(step) <= _SAME_ROOT * r:
+                r -= step
         roots.append(r)
     return roots
 

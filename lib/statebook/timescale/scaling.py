@@ -147,7 +147,7 @@ def _within_limits(limits: Sequence[Limit], profile: Profile) -> Profile:
             use.use if use.limit != "acceleration" else np.sqrt(use.use)
             for use in audit(profile, limits)
         )
-        return profile.slower(factor * (1 + 1e-15)) if factor > 1 else profile
+        return profile.slower(np.nextafter(factor, np.inf)) if factor > 1 else profile
     for _ in range(PASSES):
         if audit(profile, limits).worst.use <= 1 + MARGIN:
             return profile
