@@ -208,6 +208,9 @@ def test_a_narrow_window_of_growth_is_found():
     assert sb.critical_step(A, "semi_implicit_euler") == pytest.approx(first, rel=1e-9)
     assert radius(A, (first + last) / 2, "semi_implicit_euler") > 1
     assert radius(A, last + 1e-3, "semi_implicit_euler") < 1
+    # Without the window -1 is touched only, at h = 8/3; a complex pair leaves where det M = 1.
+    A[1, 0] = 0.0625
+    assert sb.critical_step(A, "semi_implicit_euler") == pytest.approx(3.0, rel=1e-9)
 
 
 def test_prediction_agrees_with_simulation():

@@ -210,12 +210,12 @@ def _refined(h: float, A: np.ndarray, twice: np.ndarray) -> float:
     for _ in range(2):
         M = 2 * np.eye(len(A)) + h * A + h**2 * twice
         try:
-            step = 1 / np.trace(np.linalg.solve(M, A + 2 * h * twice)).real
-        except (np.linalg.LinAlgError, ZeroDivisionError):
+            slope = float(np.trace(np.linalg.solve(M, A + 2 * h * twice)).real)
+        except np.linalg.LinAlgError:
             break
-        if not abs(step) <= _SAME_ROOT * h:
+        if not abs(slope) * _SAME_ROOT * h >= 1:
             break
-        h -= step
+        h -= 1 / slope
     return h
 
 
