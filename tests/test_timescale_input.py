@@ -207,6 +207,25 @@ def test_end_speeds_out_of_reach(speeds: dict, constraint: str) -> None:
     assert sb.time_scale(LINE, 100.0, 1.0, **reachable).duration == pytest.approx(2, rel=1e-3)
 
 
+@pytest.mark.parametrize("seed", range(24))
+def test_the_side_of_the_limit_that_end_speeds_break(seed: int) -> None:
+    """More speed to lose, or to gain, than the acceleration can: v0^2 - v1^2 > 2 a d."""
+    rng = np.random.default_rng(seed)
+    distance, a = 10 ** rng.uniform(-2, 2, 2)
+    least = np.sqrt(2 * a / distance)
+    slow = least * rng.uniform(0.05, 2)
+    fast = np.hypot(slow, least) * rng.uniform(1.001, 1.5)
+    side, speeds = ("lower", (fast, slow)) if seed % 2 else ("upper", (slow, fast))
+    with pytest.raises(sb.InfeasiblePathError) as caught:
+        sb.time_scale(
+            sb.Path.through([[0.0, distance]]),
+            acceleration=a,
+            start_speed=speeds[0],
+            end_speed=speeds[1],
+        )
+    assert caught.value.constraint == f"acceleration of joint 0, {side} limit"
+
+
 def test_a_load_too_heavy_to_hold() -> None:
     with pytest.raises(sb.InfeasiblePathError) as caught:
         sb.time_scale(LINE, torque=4.5, inverse_dynamics=gravity)
