@@ -272,6 +272,12 @@ def test_implicit_steps_do_not_depend_on_units(method, unit):
         assert states(1.0)[1, 0] == pytest.approx(np.sqrt(3) - 1)  # y + y^2/2 = 1
 
 
+@pytest.mark.parametrize("start", [0.0, 1e-13, 1e-6])
+def test_a_state_near_zero_is_no_small_unit(start):
+    _, xs = sb.integrate(lambda x, t: 1e6 * (1 - x), [start], 1, 0.1, method="backward_euler")
+    assert xs[1, 0] == pytest.approx((start + 1e5) / (1 + 1e5), rel=1e-12)
+
+
 def test_backward_euler_on_a_stiff_system():
     # x' = -1e6 (x - cos t) - sin t has the solution cos t; the error is dt / (2e6) at most.
     ts, xs = sb.integrate(

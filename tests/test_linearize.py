@@ -254,6 +254,12 @@ def test_equilibria_to_the_last_digits(f, guess, exact):
     assert found.residual < 1e-15  # relative to the terms of f
 
 
+@pytest.mark.parametrize("small", [1e-6, 1e-9])
+def test_a_guess_near_zero_is_no_small_unit(small):
+    assert sb.find_equilibrium(sb.Pendulum(), [small, small]).x[0] == pytest.approx(np.pi / 2)
+    assert sb.find_equilibrium(lambda x: x**3 + x - 10, [small]).x == pytest.approx([2.0])
+
+
 def test_no_equilibrium_raises():
     with pytest.raises(sb.EquilibriumNotFoundError, match="residual of 1"):
         sb.find_equilibrium(lambda x: x**2 + 1, [0.3])

@@ -318,6 +318,10 @@ def test_what_the_audit_refuses_is_mended_or_not_returned(monkeypatch: Any) -> N
     mended = scaling._within_limits(limits, hasty)
     assert audit(mended, limits).worst.use <= 1 + 1e-9
     assert mended.duration == pytest.approx(timed.duration, rel=1e-3)
+    path, v, a = random_case(4)
+    timed = sb.time_scale(path, v, a)
+    slowed = scaling._within_limits(timed._limits, timed._profile.slower(0.9))
+    assert 1 - 1e-11 < audit(slowed, timed._limits).worst.use <= 1
     monkeypatch.setattr(scaling, "PASSES", 0)
     with pytest.raises(sb.InfeasiblePathError, match="could not be kept") as caught:
         scaling._within_limits(limits, hasty)

@@ -9,7 +9,6 @@ import numpy as np
 
 from statebook import _validate
 from statebook.amplification import amplification_matrix
-from statebook.derivatives import step_scale
 from statebook.errors import DivergenceError
 from statebook.runge_kutta import (
     METHODS,
@@ -230,26 +229,34 @@ def _implicit_stages(
     for _ in range(_NEWTON_ITERATIONS):
         Z = x + dt * _weighted(A, K)
         F = np.stack([f(z, time) for z, time in zip(Z, times, strict=True)])
-        J = np.stack([_jacobian(f, *args) for args in zip(Z, times, F, strict=True)])
+        # The states may all be small, but a component near 0 among others is no small unit.
+        least = min(1.0, _size(x, K, dt) or 1.0)
+        J = np.stack([_jacobian(f, *args, least) for args in zip(Z, times, F, strict=True)])
         matrix = identity - dt * np.einsum("ij,ikl->ikjl", A, J).reshape(identity.shape)
         try:
             update = np.linalg.solve(matrix, (F - K).ravel()).reshape(K.shape)
         except np.linalg.LinAlgError:
             break
         K = K + update
-        size = np.abs(x).max(initial=0) + dt * np.abs(K).max(initial=0)
-        if dt * np.abs(update).max(initial=0) <= _NEWTON_TOLERANCE * size:
+        if dt * np.abs(update).max(initial=0) <= _NEWTON_TOLERANCE * _size(x, K, dt):
             return K
     raise _NoSolution("the equations of the implicit step were not solved; try a smaller dt")
 
 
-def _jacobian(f: Function, x: np.ndarray, t: float, value: np.ndarray) -> np.ndarray:
-    """Forward differences: Newton's method corrects their error in its next iteration."""
+def _size(x: np.ndarray, K: np.ndarray, dt: float) -> float:
+    """Size of the states in a step."""
+    return float(np.abs(x).max(initial=0) + dt * np.abs(K).max(initial=0))
+
+
+def _jacobian(f: Function, x: np.ndarray, t: float, value: np.ndarray, least: float) -> np.ndarray:
+    """Forward differences: Newton's method corrects their error in its next iteration.
+
+    A component smaller than `least` is varied as if it had that size.
+    """
     J = np.empty((x.size, x.size), dtype=x.dtype)
-    steps = _DIFFERENCE * step_scale(np.ravel(x))
     for j, component in enumerate(np.ravel(x)):
         shifted = np.array(x)
-        shifted.flat[j] += steps[j]
+        shifted.flat[j] += _DIFFERENCE * max(least, abs(component))
         J[:, j] = np.ravel(f(shifted, t) - value) / (shifted.flat[j] - component)
     return J
 

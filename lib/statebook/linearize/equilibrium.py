@@ -125,20 +125,19 @@ def find_equilibrium(
 
 def _solve(residual: Callable[[np.ndarray], np.ndarray], guess: np.ndarray) -> np.ndarray:
     """Return the least-squares solution of residual(unknowns) = 0."""
-    # The search ends at small gradients: in units of the guess's residual and size none is.
-    size, unit = np.abs(residual(guess)).max(initial=0.0) or 1.0, step_scale(guess)
+    # The search ends where the gradient is small, which must not depend on the unit of f.
+    size = np.abs(residual(guess)).max(initial=0.0) or 1.0
     with np.errstate(all="ignore"):
-        solution = scipy.optimize.least_squares(
-            lambda y: residual(unit * y) / size,
-            guess / unit,
+        return scipy.optimize.least_squares(
+            lambda unknowns: residual(unknowns) / size,
+            guess,
             jac="3-point",
             x_scale="jac",
             xtol=1e-15,
             ftol=1e-15,
             gtol=1e-15,
             max_nfev=10_000,
-        )
-    return unit * solution.x
+        ).x
 
 
 def _polish(system: System, z: np.ndarray, free: np.ndarray, unknowns: np.ndarray) -> np.ndarray:

@@ -36,7 +36,7 @@ def torque_limit(path: Path, torque: Any, inverse_dynamics: Any) -> TorqueLimit:
             "inverse_dynamics must be a function (q, qd, qdd) -> torques where torque is given, "
             f"got {inverse_dynamics!r}"
         )
-    s = np.linspace(path.s_start, path.s_end, _SAMPLES)
+    s = np.linspace(path.s_start, path.s_end, _SAMPLES + 2)[1:-1]
     q, slope = path(s), path(s, 1)
     rows = _rows(inverse_dynamics, q[:, 0])
     dynamics = _vectorized(inverse_dynamics, q, slope, rows)

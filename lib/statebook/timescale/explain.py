@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import scipy
 
 from statebook.errors import InfeasiblePathError
-from statebook.timescale.grid import Grid
 from statebook.timescale.limits import TorqueLimit
 from statebook.timescale.stages import StuckError
 
@@ -22,6 +19,10 @@ def explain(stuck: StuckError) -> InfeasiblePathError:
     can be; the one with the largest multiplier is named.
     """
     grid, rows, i = stuck.grid, stuck.rows, stuck.interval
+
+    def at_rest(z: np.ndarray) -> np.ndarray:
+        return np.zeros((len(z), len(grid.h)))  # s'' and s'^2
+
     w, x, c = rows.w[i], rows.x[i], rows.c[i]
     low, high = stuck.following
     count = len(w)
@@ -39,7 +40,7 @@ def explain(stuck: StuckError) -> InfeasiblePathError:
     name = limit.name(row, side)
     s = float(grid.s[i])
     advice = "Raise that limit, or change the path or the speeds at its ends"
-    if isinstance(limit, TorqueLimit) and limit.misfit(grid, _rest(grid), _rest(grid))[i] > _JUMP:
+    if isinstance(limit, TorqueLimit) and limit.misfit(grid, at_rest, at_rest)[i] > _JUMP:
         advice = (
             "The torque of the robot at rest jumps there, or changes too fast: make it smooth, or "
             "time the path in two parts"
@@ -54,8 +55,3 @@ def explain(stuck: StuckError) -> InfeasiblePathError:
         constraint=name,
         s=s,
     )
-
-
-def _rest(grid: Grid) -> Callable[[np.ndarray], np.ndarray]:
-    """Return s'' or s'^2 of a robot at rest."""
-    return lambda z: np.zeros((len(z), len(grid.h)))

@@ -6,6 +6,7 @@ x = s'^2. Velocities enter squared: q'_j^2 = p'_j^2 x.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -20,7 +21,7 @@ DENSE = 17  # points per interval at which torques are looked at
 
 
 @dataclass(frozen=True, eq=False)
-class Limit:
+class Limit(ABC):
     """Bounds on rows of one quantity: rows R, lower and upper of shape (R,)."""
 
     kind: str
@@ -36,16 +37,16 @@ class Limit:
         size = np.where(np.isfinite(bounds), bounds, 0.0).max(axis=0)
         return np.where(size > 0, size, 1.0)
 
+    @abstractmethod
     def degree(self, grid: Grid) -> int:
         """Degree along an interval where s'^2 is a quadratic in s."""
-        raise NotImplementedError
 
+    @abstractmethod
     def terms(self, grid: Grid, z: np.ndarray, speed: np.ndarray) -> Terms:
         """Return a, b, c at fractions z of the intervals, each (K, N, R) or None for zero.
 
         speed (N,) is a typical s'^2; only rounding depends on it.
         """
-        raise NotImplementedError
 
     def name(self, row: int, side: str) -> str:
         """Name one bound for a message."""

@@ -23,6 +23,7 @@ from statebook.timescale.stages import StuckError
 from statebook.timescale.timed_path import TimedPath
 
 _COARSE = 48  # intervals of the first grid
+_ROUNDING = 1e-12  # of the audit; a motion that it slows down is then inside the limits
 
 
 def time_scale(
@@ -147,7 +148,7 @@ def _within_limits(limits: Sequence[Limit], profile: Profile) -> Profile:
             use.use if use.limit != "acceleration" else np.sqrt(use.use)
             for use in audit(profile, limits)
         )
-        return profile.slower(np.nextafter(factor, np.inf)) if factor > 1 else profile
+        return profile.slower(factor * (1 + _ROUNDING)) if factor > 1 else profile
     for _ in range(PASSES):
         if audit(profile, limits).worst.use <= 1 + MARGIN:
             return profile
