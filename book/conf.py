@@ -5,7 +5,6 @@ import re
 from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
-from pkgutil import iter_modules
 
 import statebook
 
@@ -88,11 +87,17 @@ def write_reference():
     """Write a page for every public module; return their list in Markdown."""
     folder = HERE / "reference"
     folder.mkdir(exist_ok=True)
-    public = {*statebook._MODULE_OF.values(), *statebook._MODULES}
+    stub = Path(statebook.__file__).with_suffix(".pyi").read_text(encoding="utf-8")
+    homes = {}  # of each room its public names, as the stub beside the package tells them
+    for room, name in re.findall(r"^from \.(\S*) import (\w+) as", stub, re.MULTILINE):
+        package = room.partition(".")[0] if room else name
+        whole = package in ("controllers", "plotting")
+        homes.setdefault(package if whole else room, []).extend([] if whole else [name])
     rows = []
-    for name in (m.name for m in iter_modules(statebook.__path__) if m.name in public):
+    for name, members in sorted(homes.items()):
         module = import_module(f"statebook.{name}")
-        text = f"# {name}\n\n```{{eval-rst}}\n.. automodule:: {module.__name__}\n```\n"
+        chosen = f"\n   :members: {', '.join(members)}" if members else ""
+        text = f"# {name}\n\n```{{eval-rst}}\n.. automodule:: {module.__name__}{chosen}\n```\n"
         (folder / f"{name}.md").write_text(text, encoding="utf-8")
         rows.append(f"[{name}](reference/{name}.md)\n: {module.__doc__.splitlines()[0]}\n")
     return "\n".join(rows)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import statebook as sb
-from statebook.integrate import METHODS, amplification_matrix, stability_function
+from statebook.runge_kutta import METHODS, amplification_matrix, stability_function
 
 EXPLICIT = ("euler", "midpoint", "heun", "rk4", "dopri5")
 ALL = (*METHODS, "semi_implicit_euler")

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import statebook as sb
-from statebook.simulate import simulate
+from statebook.simulation import simulate
 
 SOLVERS = ("RK45", "RK23", "DOP853", "Radau", "BDF", "LSODA")
 A = np.array([[0.0, 1.0], [-10.0, -1.0]])

@@ -8,11 +8,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import statebook as sb
-from statebook.stability.blocks import decompose, with_comparable_couplings
-from statebook.stability.boundary import _groups, _linked, project
-from statebook.stability.judge import judge
-from statebook.stability.level_sets import _midpoints, boundary_distance
-from statebook.stability.maps import sort_eigenvalues, sorting
+from statebook.verdict.clusters import (
+    _groups,
+    _linked,
+    decompose,
+    project,
+    with_comparable_couplings,
+)
+from statebook.verdict.level_sets import _midpoints, boundary_distance
+from statebook.verdict.maps import sort_eigenvalues, sorting
+from statebook.verdict.stability import judge
 
 STABLE, MARGINAL, UNSTABLE = "asymptotically stable", "marginally stable", "unstable"
 UNDECIDABLE = "undecidable in double precision"

@@ -10,7 +10,7 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline, PPoly
 
 import statebook as sb
 from statebook.timescale import scaling
-from statebook.timescale.audit import audit
+from statebook.timescale.profile import audit
 
 pytest.importorskip("toppra")
 

@@ -7,15 +7,13 @@ import pytest
 from scipy.interpolate import PPoly
 
 import statebook as sb
-from statebook.timescale.bounds import kinematic_limits
-from statebook.timescale.dynamics import torque_limit
 from statebook.timescale.grid import lay_grid
-from statebook.timescale.limits import AccelerationLimit, Limit, VelocityLimit
+from statebook.timescale.limits import AccelerationLimit, Limit, VelocityLimit, kinematic_limits
 from statebook.timescale.profile import Profile
-from statebook.timescale.refine import refine
 from statebook.timescale.rows import stage_rows
-from statebook.timescale.solve import _first_scale
+from statebook.timescale.solve import _first_scale, refine
 from statebook.timescale.stages import fastest_profile
+from statebook.timescale.torques import torque_limit
 
 ARM = sb.PlanarArm(lengths=(0.5, 0.4), masses=(2.0, 1.0))
 Z = np.linspace(0, 1, 101)

@@ -128,3 +128,23 @@ def choice(name: str, value: Any, options: Collection[str]) -> str:
     if value not in options:
         raise ValueError(f"{name} must be one of {', '.join(options)}; got {value!r}")
     return value
+
+
+def brief(x: np.ndarray) -> str:
+    """Return an array in a form short enough for a message."""
+    return np.array2string(x, precision=4, threshold=8)
+
+
+def square(name: str, A: Any) -> np.ndarray:
+    """Return a matrix as a finite square array."""
+    A = array(name, A)
+    if A.ndim != 2 or A.shape[0] != A.shape[1]:
+        raise ValueError(f"{name} must be a square matrix of shape (n, n), got {A.shape}")
+    return A
+
+
+def is_discrete(dt: float | bool | None) -> bool:
+    """Whether a timebase is discrete; a negative one is refused."""
+    if dt is None or dt is True:
+        return dt is True
+    return non_negative("dt", dt) > 0

@@ -11,13 +11,12 @@ import numpy as np
 
 from statebook import _validate
 from statebook.angles import wrap_angle
-from statebook.control_trajectory import ControlTrajectory, increasing, interval_of, within
+from statebook.control_trajectory import ControlTrajectory
 from statebook.systems import as_system
+from statebook.times import increasing, interval_of, within
 
 if TYPE_CHECKING:
     import control
-
-__all__ = ["ControlTrajectory", "Trajectory"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -1,19 +1,7 @@
-"""Controllers: feedback laws, swing-up, and what a clock does to them."""
+"""Controllers: feedback laws, swing-up, and plans made in advance."""
 
-from statebook.controllers.cart_pole import CartPoleSwingUp, cart_force
-from statebook.controllers.clocked import simulate_clocked
-from statebook.controllers.lqr import LQR
+from statebook.controllers.linear import LQR, PD, PID
 from statebook.controllers.open_loop import bang_bang
-from statebook.controllers.pid import PD, PID
-from statebook.controllers.swing_up import SwingUp
+from statebook.controllers.swing_up import CartPoleSwingUp, SwingUp, cart_force
 
-__all__ = [
-    "LQR",
-    "PD",
-    "PID",
-    "CartPoleSwingUp",
-    "SwingUp",
-    "bang_bang",
-    "cart_force",
-    "simulate_clocked",
-]
+__all__ = ["LQR", "PD", "PID", "CartPoleSwingUp", "SwingUp", "bang_bang", "cart_force"]

@@ -1,15 +1,20 @@
-"""Swing a torque-limited pendulum up by pumping energy, then catch it."""
+"""Swing a pendulum, or the pole of a cart, up and catch it."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from statebook import _validate
-from statebook.controllers.lqr import LQR
-from statebook.models import Pendulum
+from statebook.controllers.linear import LQR
+from statebook.models.cart_pole import CartPole
+from statebook.models.pendulum import Pendulum
+from statebook.simulation import simulate
+from statebook.systems import System
+from statebook.trajectory import Trajectory
 
 
 @dataclass(frozen=True)
@@ -85,3 +90,182 @@ class SwingUp:
         still = (np.abs(x[1]) < 1e-6) & (lack > 0)
         pump = np.where(still, self.limit, pump)
         return np.where(caught, self.catch(x, t), pump[None])
+
+
+_SETTLING = 8.0  # [s] after the switch, in which the trial must come to rest
+_SETTLED = 0.01  # [rad], [rad/s]
+_SAMPLES = 401
+
+
+def cart_force(cartpole: CartPole, x: Any, acceleration: Any) -> np.ndarray:
+    """Find the force that gives a cart an acceleration.
+
+    The accelerations are affine in the force, p'' = f(x, 0) + (f(x, 1) - f(x, 0)) u; without
+    torque at the pin the pole then moves as its pin does.
+
+    Parameters
+    ----------
+    cartpole : CartPole
+    x : array, shape (4,) or (4, N)
+    acceleration : float or array, shape (N,) [m/s^2]
+        Wanted p''.
+
+    Returns
+    -------
+    array, shape () or (N,) [N]
+
+    Raises
+    ------
+    TypeError, ValueError
+        An argument has the wrong type or shape.
+
+    References
+    ----------
+    M. W. Spong, The swing up control problem for the acrobot, IEEE Control Systems Magazine
+    15 (1995), 49-55 (collocated partial feedback linearization).
+
+    Examples
+    --------
+    >>> cart_force(CartPole(m_cart=2.0, m_pole=1.0), [0.0, -np.pi / 2, 0.0, 0.0], 3.0).round(9)
+    np.float64(6.0)
+    """
+    idle = cartpole.dynamics(x, [0.0, 0.0])[2]
+    per_newton = cartpole.dynamics(x, [1.0, 0.0])[2] - idle
+    return (np.asarray(acceleration) - idle) / per_newton
+
+
+@dataclass(frozen=True)
+class CartPoleSwingUp:
+    """Swing a pole up by a planned motion of its cart, then catch it.
+
+    Before the switch the force is that of the plan, p'' = acceleration(t), clipped to the
+    limit; from then on an LQR holds the pole up with the cart at the target. The plan is
+    tried on the model before it is accepted.
+
+    Parameters
+    ----------
+    cartpole : CartPole
+    acceleration : callable
+        Planned p'' [m/s^2] as a function of time [s].
+    switch : float > 0 [s]
+        Time at which the LQR takes over.
+    limit : float > 0 [N]
+        Largest magnitude of the force.
+    track : (float, float) [m]
+        Ends of the track, increasing.
+    start : float [m]
+        Where the cart is when the plan begins, on the track; the pole hangs at rest.
+    target : float, optional [m]
+        Where the cart stays in the end, on the track; its middle if omitted.
+    Q, R : array, shape (4, 4) and (1, 1), optional
+        Weights of the LQR.
+
+    Attributes
+    ----------
+    catch : LQR
+        The regulator at the top; its one input is the force.
+    trial : Trajectory
+        The run on the model that showed that the plan works.
+
+    Raises
+    ------
+    DivergenceError
+        The trial leaves the finite numbers.
+    TypeError, ValueError
+        The plan needs more force or more track than there is, or the pole is not caught
+        within 8 s.
+
+    Examples
+    --------
+    >>> omega = 2 * np.pi / 1.52
+    >>> def plan(t):
+    ...     return omega**2 / 2 * np.cos(omega * t) if t < 1.5 * 1.52 else 0.0
+    >>> swing = CartPoleSwingUp(CartPole(), plan, 2.0, limit=40.0, track=(-0.5, 2.5))
+    >>> swing.trial.states[1, -1].round(2)  # upright
+    np.float64(1.57)
+    """
+
+    cartpole: CartPole
+    acceleration: Callable[[float], float]
+    switch: float
+    limit: float
+    track: tuple[float, float]
+    start: float = 0.0
+    target: float | None = None
+    Q: Any = None
+    R: Any = None
+    catch: LQR = field(init=False, repr=False)
+    trial: Trajectory = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.cartpole, CartPole):
+            raise TypeError(f"cartpole must be a CartPole, got {type(self.cartpole).__name__}")
+        if not callable(self.acceleration):
+            raise TypeError(f"acceleration must be a function of time, got {self.acceleration!r}")
+        _validate.positive("switch", self.switch)
+        _validate.positive("limit", self.limit)
+        low, high = _validate.real_array("track", self.track, (2,))
+        if not low < high:
+            raise ValueError(f"track must increase, got [{low:g}, {high:g}] m")
+        target = (low + high) / 2 if self.target is None else self.target
+        for name, place in (("start", self.start), ("target", target)):
+            if not low <= _validate.number(name, place) <= high:
+                raise ValueError(
+                    f"{name} must be on the track [{low:g}, {high:g}] m, got {place:g} m"
+                )
+        system = System(
+            rate=lambda x, u, t: self.cartpole.dynamics(x, np.stack([u[0], 0.0 * u[0]])),
+            states=CartPole.states,
+            inputs=CartPole.inputs[:1],
+            name="cartpole without torque",
+        )
+        at_top = [target, np.pi / 2, 0.0, 0.0]
+        catch = LQR(system, at_top, Q=self.Q, R=self.R, limit=self.limit, circle=("theta",))
+        object.__setattr__(self, "catch", catch)
+        object.__setattr__(self, "trial", self._try())
+
+    def _try(self) -> Trajectory:
+        hanging = [self.start, -np.pi / 2, 0.0, 0.0]
+        times = np.linspace(0.0, self.switch, _SAMPLES)
+        swing = simulate(self.cartpole, hanging, self._planned, times=times)
+        needed = np.abs(np.asarray(swing.controls)).max()
+        if needed > self.limit:
+            raise ValueError(f"the plan needs {needed:.4g} N, the limit is {self.limit:g} N")
+        self._require_track("the plan", swing)
+        times = np.linspace(self.switch, self.switch + _SETTLING, _SAMPLES)
+        hold = simulate(self.cartpole, swing.states[:, -1], self, times=times, rtol=1e-6)
+        self._require_track("the catch", hold)
+        _, angle, _, rate = self.catch.error(hold.states[:, -1])
+        if max(abs(angle), abs(rate)) > _SETTLED:
+            raise ValueError(
+                f"the pole is not caught: {_SETTLING:g} s after the switch it is {angle:.3g} rad "
+                f"from upright at {rate:.3g} rad/s; switch at another time or allow more force"
+            )
+        return Trajectory(
+            np.concatenate([swing.times, hold.times[1:]]),
+            np.concatenate([swing.states, hold.states[:, 1:]], axis=1),
+            np.concatenate([swing.controls, np.asarray(hold.controls)[:, 1:]], axis=1),
+            state_labels=CartPole.states,
+            input_labels=CartPole.inputs,
+        )
+
+    def _require_track(self, name: str, run: Trajectory) -> None:
+        low, high = self.track
+        lowest, highest = run.states[0].min(), run.states[0].max()
+        if lowest < low or highest > high:
+            raise ValueError(
+                f"{name} takes the cart over [{lowest:.4g}, {highest:.4g}] m, "
+                f"the track is [{low:g}, {high:g}] m"
+            )
+
+    def _planned(self, x: np.ndarray, t: float) -> np.ndarray:
+        force = cart_force(self.cartpole, x, self.acceleration(t))
+        return np.stack([force, 0.0 * force])
+
+    def __call__(self, x: Any, t: float) -> np.ndarray:
+        """Evaluate u(x, t) = (force, 0), shape (2,) or (2, N)."""
+        x = np.asarray(x, dtype=float)
+        if t < self.switch:
+            return np.clip(self._planned(x, t), -self.limit, self.limit)
+        force = self.catch(x, t)[0]
+        return np.stack([force, 0.0 * force])

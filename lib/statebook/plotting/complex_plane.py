@@ -90,7 +90,7 @@ def stability_region(
     >>> stability_region("rk4").get_title()
     'rk4'
     """
-    from statebook.integrate import stability_function
+    from statebook.runge_kutta import stability_function
 
     ax = new_axes(ax)
     x, y = np.linspace(xlim[0], xlim[1], 301), np.linspace(ylim[0], ylim[1], 301)

@@ -150,7 +150,7 @@ def phase_portrait(
     >>> len(ax.lines)
     2
     """
-    from statebook.simulate import simulate
+    from statebook.simulation import simulate
 
     x0s = _validate.real_array("x0s", x0s, (2, None))
     ax = flow(system, xlim, ylim, u, ax=ax)

@@ -11,7 +11,7 @@ from statebook.plotting.style import new_axes
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from statebook.timescale import TimedPath
+    from statebook.timescale.timed_path import TimedPath
 
 
 def timed_path(timed: TimedPath, *, ax: Axes | None = None) -> Axes:
@@ -41,7 +41,7 @@ def timed_path(timed: TimedPath, *, ax: Axes | None = None) -> Axes:
     >>> timed_path(timed).get_ylabel()
     "$s'$ [1/s]"
     """
-    from statebook.timescale import TimedPath
+    from statebook.timescale.timed_path import TimedPath
 
     if not isinstance(timed, TimedPath):
         raise TypeError(f"timed must be a TimedPath, got {type(timed).__name__}")

@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 
 from statebook import _validate
-from statebook.uncertainty.covariance import covariance_matrix
+from statebook.uncertainty.noise import covariance_matrix
 
 
 def consistency(errors: Any, covariance: Any) -> float:

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from statebook import _validate
-from statebook.controllers.clocked import simulate_clocked
+from statebook.simulation import simulate_clocked
 from statebook.systems import as_system
 from statebook.trajectory import Trajectory
+from statebook.uncertainty.error_models import control_of, with_disturbance
 from statebook.uncertainty.noise import HeldNoise
-from statebook.uncertainty.wrappers import control_of, with_disturbance
 
 
 def monte_carlo(

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import scipy
 
-from statebook._policy import Policy, Stretch
-from statebook.integrate import step_of
+from statebook.integration import step_of
+from statebook.policies import Policy, Stretch
 from statebook.systems import System
 
 SOLVERS = ("RK45", "RK23", "DOP853", "Radau", "BDF", "LSODA")

@@ -8,25 +8,13 @@ from typing import Any
 import numpy as np
 
 from statebook import _validate
-from statebook.amplification import amplification_matrix
 from statebook.errors import DivergenceError
 from statebook.runge_kutta import (
-    METHODS,
     SEMI_IMPLICIT_EULER,
     ButcherTableau,
     as_tableau,
-    stability_function,
 )
 from statebook.trajectory import Trajectory
-
-__all__ = [
-    "METHODS",
-    "ButcherTableau",
-    "amplification_matrix",
-    "integrate",
-    "integrate_euler",
-    "stability_function",
-]
 
 _NEWTON_ITERATIONS = 50
 _NEWTON_TOLERANCE = 1e-12

@@ -5,10 +5,11 @@ from __future__ import annotations
 import inspect
 import warnings
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
-from statebook.systems.system import brief
+from statebook._validate import brief
 
 
 def arguments_of(f: Callable) -> tuple[int, int]:
@@ -60,22 +61,45 @@ def _require_unchanged(arguments: Sequence[np.ndarray], copies: Sequence[np.ndar
         )
 
 
-def takes_batches(rate: Callable, x0: np.ndarray, u0: np.ndarray) -> bool:
-    """Whether a batch of states and inputs gives what its columns give, one by one."""
-    # Different columns, or a function that mixes them would pass; as many columns as
-    # no other dimension has, or a transposed result would pass.
-    weights = np.linspace(0, 1e-3, max(x0.size, u0.size) + 2)
-    xs = x0[:, None] + (1 + np.abs(x0))[:, None] * weights
-    us = u0[:, None] + (1 + np.abs(u0))[:, None] * weights
+def takes_batches(
+    function: Callable[..., Any], *batches: np.ndarray, alone: Callable[..., Any], rtol: float
+) -> bool:
+    """Whether a function of batches gives what `alone` gives for their columns, one by one.
+
+    Parameters
+    ----------
+    function : callable
+        Called once with the batches; whatever it raises means no.
+    *batches : array, shape (k, N)
+        One batch for each argument. The columns should differ, or a function that mixes them up
+        would pass; so should N from all other dimensions, or a transposed result would pass.
+    alone : callable
+        The same function for single columns (k,), which returns (r,).
+    rtol : float
+        Relative tolerance of the comparison.
+
+    Examples
+    --------
+    >>> takes_batches(np.sin, np.eye(2, 3), alone=np.sin, rtol=1e-12)
+    True
+    >>> takes_batches(np.sort, np.eye(2, 3), alone=np.sort, rtol=1e-12)
+    False
+    """
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
         try:
-            batch = np.asarray(rate(xs, us, 0.0))
-            columns = [np.asarray(rate(*column, 0.0)) for column in zip(xs.T, us.T, strict=True)]
+            batch = np.asarray(function(*batches))
+            columns = [np.asarray(alone(*c)) for c in zip(*(b.T for b in batches), strict=True)]
         except Exception:  # whatever a function does with an array it was not written for
             return False
+    expected = np.stack(columns, axis=-1) if len({c.shape for c in columns}) == 1 else None
     return (
-        batch.shape == xs.shape
-        and all(column.shape == x0.shape for column in columns)
-        and np.allclose(batch, np.stack(columns, axis=1), rtol=1e-12, atol=0, equal_nan=True)
+        expected is not None
+        and batch.shape == expected.shape
+        and bool(np.allclose(batch, expected, rtol=rtol, atol=0, equal_nan=True))
     )
+
+
+def spread_beside(x: np.ndarray, number: int) -> np.ndarray:
+    """Return `number` different columns beside x, (n, number), the first of them x."""
+    return x[:, None] + (1 + np.abs(x))[:, None] * np.linspace(0, 1e-3, number)

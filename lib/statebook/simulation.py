@@ -1,26 +1,21 @@
-"""Simulation: the trajectory of a system from an initial state under a control."""
+"""Simulation: a system from an initial state under a control, or under a clock."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import scipy
 
 from statebook import _validate
-from statebook._policy import Policy, as_policy, first_control, segments
-from statebook._stepping import (
-    SOLVERS,
-    Flow,
-    StoppedError,
-    adaptive_steps,
-    fixed_steps,
-    iterate,
-)
-from statebook.control_trajectory import ControlTrajectory, increasing
+from statebook.control_trajectory import ControlTrajectory
 from statebook.errors import DivergenceError
+from statebook.policies import Policy, as_policy, first_control, segments
 from statebook.runge_kutta import METHODS, SEMI_IMPLICIT_EULER
+from statebook.stepping import SOLVERS, Flow, StoppedError, adaptive_steps, fixed_steps, iterate
 from statebook.systems import System, as_system
+from statebook.times import increasing
 from statebook.trajectory import Trajectory
 
 _FIXED_STEP = (*METHODS, SEMI_IMPLICIT_EULER)
@@ -189,4 +184,74 @@ def _trajectory(
         controls,
         state_labels=system.states,
         input_labels=None if controls is None else system.inputs,
+    )
+
+
+def simulate_clocked(
+    system: Any,
+    x0: Any,
+    policy: Callable[[np.ndarray, float], Any],
+    *,
+    period: float,
+    duration: float,
+    samples: int = 4,
+    **options: Any,
+) -> Trajectory:
+    """Simulate a continuous plant under a sampled controller.
+
+    At each tick t_k = k period the policy sees x(t_k); its control is held until the next.
+
+    Parameters
+    ----------
+    system : system
+        Whatever as_system takes; a function f(x, u) too.
+    x0 : array, shape (n,) or (n, N)
+    policy : callable
+        u(x, t), called once a tick, in order of time, so that it may have a memory.
+    period : float > 0 [s]
+    duration : float > 0 [s]
+        Rounded up to whole periods.
+    samples : int > 0
+        Stored samples a period.
+    **options
+        method, rtol and atol of simulate.
+
+    Returns
+    -------
+    Trajectory
+        With one control an interval.
+
+    Raises
+    ------
+    DivergenceError
+        As simulate.
+    TypeError, ValueError
+        An argument, or what the policy returns, has the wrong type or shape.
+
+    Examples
+    --------
+    >>> import statebook as sb
+    >>> plant, x0 = sb.Particle(), [1.0, 0.0]
+    >>> run = simulate_clocked(plant, x0, lambda x, t: -x[:1], period=0.5, duration=1)
+    >>> run.states[:, -1].round(6)
+    array([ 0.515625, -0.9375  ])
+    """
+    period = _validate.positive("period", period)
+    duration = _validate.positive("duration", duration)
+    samples = _validate.integer("samples", samples, 1)
+    x = _validate.real_array("x0", x0)
+    ticks = int(np.ceil(duration / period * (1 - 1e-12)))
+    system = as_system(system, x, np.atleast_1d(policy(x, 0.0)))
+    states, controls = [x[..., None]], []
+    for k in range(ticks):
+        u = _validate.real_array("policy(x, t)", policy(x, k * period))
+        times = np.linspace(k, k + 1, samples + 1) * period
+        piece = simulate(system, x, u, times=times, **options)
+        states.append(piece.states[..., 1:])
+        controls.append(np.asarray(piece.controls)[..., 1:])
+        x = piece.states[..., -1]
+    return Trajectory(
+        np.arange(ticks * samples + 1) * (period / samples),
+        np.concatenate(states, axis=-1),
+        np.concatenate(controls, axis=-1),
     )

@@ -8,13 +8,14 @@ import numpy as np
 import scipy
 
 from statebook import _validate
-from statebook.linearize import linearize
+from statebook.linearization import linearize
 from statebook.systems import as_system
 
 if TYPE_CHECKING:
     import control
 
 DISCRETIZATIONS = ("zoh", "foh", "euler", "backward_euler", "tustin")
+_ALSO = {"forward_diff": "euler", "backward_diff": "backward_euler", "bilinear": "tustin"}
 
 
 def discretize(
@@ -30,7 +31,8 @@ def discretize(
         Sample time.
     method : {"zoh", "foh", "euler", "backward_euler", "tustin"}
         "zoh" is exact for inputs held between samples, "foh" for inputs linear between them;
-        see `discretize_many` for the formulas.
+        see `discretize_many` for the formulas. python-control's names "forward_diff",
+        "backward_diff" and "bilinear" are accepted too.
     prewarp : float > 0 [rad/s], optional
         With "tustin": the frequency (below pi/dt) at which the frequency response is kept.
 
@@ -64,7 +66,8 @@ def discretize(
     """
     import control
 
-    dt = _sample_time(dt)
+    dt = _validate.positive("dt", dt)
+    method = _method(method)
     if prewarp is not None:
         prewarp = _validate.positive("prewarp", prewarp)
         if method != "tustin":
@@ -74,21 +77,16 @@ def discretize(
                 f"prewarp must be below pi/dt = {np.pi / dt:.4g} rad/s, got {prewarp:.4g}"
             )
     sys = _state_space(sys)
-    A, B, C, D = (np.asarray(M) for M in (sys.A, sys.B, sys.C, sys.D))
-    # Prewarping is a change of the step that the trapezoidal rule takes.
-    step = dt if prewarp is None else 2 * np.tan(prewarp * dt / 2) / prewarp
-    Ad, Bd, S, G = one_step(A, B, step, method)
-    return control.ss(
-        Ad,
-        Bd,
-        C @ S,
-        D + C @ G,
-        dt,
-        states=list(sys.state_labels),
-        inputs=list(sys.input_labels),
-        outputs=list(sys.output_labels),
-        name=sys.name,
-    )
+    scipys_name = "backward_diff" if method == "backward_euler" else method
+    try:
+        with np.errstate(all="ignore"):
+            result = control.sample_system(
+                sys, dt, scipys_name, prewarp_frequency=prewarp, name=sys.name
+            )
+    except np.linalg.LinAlgError as error:
+        raise _no_step(method, dt) from error
+    _require_finite(np.asarray(result.A))
+    return result
 
 
 def discretize_many(
@@ -137,8 +135,7 @@ def discretize_many(
     ([[1.0, 0.5], [0.0, 1.0]], [[0.125], [0.5]])
     """
     A, B = pair(A, B)
-    Ad, Bd, _, _ = one_step(A, B, _sample_time(dt), method)
-    return Ad, Bd
+    return one_step(A, B, _validate.positive("dt", dt), _method(method))
 
 
 def map_eigenvalues(s: Any, dt: float, method: str = "zoh") -> np.ndarray:
@@ -170,8 +167,8 @@ def map_eigenvalues(s: Any, dt: float, method: str = "zoh") -> np.ndarray:
     >>> map_eigenvalues([-2.0, 2j], 1.0, "tustin").round(3).tolist()
     [0j, 1j]
     """
-    z = _validate.array("s", s).astype(complex) * _sample_time(dt)
-    _validate.choice("method", method, DISCRETIZATIONS)
+    z = _validate.array("s", s).astype(complex) * _validate.positive("dt", dt)
+    method = _method(method)
     if method in ("zoh", "foh"):
         return np.exp(z)
     if method == "euler":
@@ -181,44 +178,51 @@ def map_eigenvalues(s: Any, dt: float, method: str = "zoh") -> np.ndarray:
     return np.divide(above, below, out=np.full_like(z, np.inf), where=below != 0)
 
 
-def one_step(
-    A: np.ndarray, B: np.ndarray, h: Any, method: str
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return Ad, Bd, S and G: ``z_{k+1} = Ad z_k + Bd u_k`` and ``x = S z + G u``."""
-    _validate.choice("method", method, DISCRETIZATIONS)
+def one_step(A: np.ndarray, B: np.ndarray, h: Any, method: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return Ad and Bd of pairs, or stacks of them: ``z_{k+1} = Ad z_k + Bd u_k``."""
     n, m = B.shape[-2:]
-    identity, none = np.broadcast_to(np.eye(n), A.shape), np.zeros(B.shape)
+    identity = np.broadcast_to(np.eye(n), A.shape)
     if method == "euler":
-        return identity + h * A, h * B, identity, none
+        return identity + h * A, h * B
     if method == "zoh":
         # exp of [[A, B], [0, 0]] h: no inverse of A.
         E = _exponential(h * _stacked(A, B, m))
-        return E[..., :n, :n], E[..., :n, n:], identity, none
+        return E[..., :n, :n], E[..., :n, n:]
     if method == "foh":
         # The ramp's response from two integrators in a row, in units of the sample time.
         block = _stacked(h * A, h * B, 2 * m)
         block[..., n : n + m, n + m :] = np.eye(m)
         E = _exponential(block)
         Ad, held, ramp = E[..., :n, :n], E[..., :n, n : n + m], E[..., :n, n + m :]
-        return Ad, held - ramp + Ad @ ramp, identity, ramp
+        return Ad, held - ramp + Ad @ ramp
     weight = h if method == "backward_euler" else h / 2
     try:
         S = np.linalg.inv(identity - weight * A)
     except np.linalg.LinAlgError as error:
-        raise ValueError(
-            f'"{method}" has no step here: 1/{weight:.6g} is an eigenvalue of A; change dt'
-        ) from error
+        raise _no_step(method, h) from error
     Ad = S if method == "backward_euler" else S @ (identity + weight * A)
-    Bd = S @ (h * B)
-    return Ad, Bd, S, Bd * (weight / h)
+    return Ad, S @ (h * B)
+
+
+def _method(name: str) -> str:
+    return _validate.choice("method", _ALSO.get(name, name), DISCRETIZATIONS)
+
+
+def _no_step(method: str, h: float) -> ValueError:
+    pole = 1 / h if method == "backward_euler" else 2 / h
+    return ValueError(f'"{method}" has no step here: {pole:.6g} is an eigenvalue of A; change dt')
+
+
+def _require_finite(E: np.ndarray) -> None:
+    if not np.isfinite(E).all():
+        raise ValueError("dt must be shorter: exp(A dt) exceeds the largest floating-point number")
 
 
 def _exponential(M: np.ndarray) -> np.ndarray:
     with np.errstate(all="ignore"):
         E = scipy.linalg.expm(M)
-    if not np.isfinite(E).all():
-        raise ValueError("dt must be shorter: exp(A dt) exceeds the largest floating-point number")
-    return E
+    _require_finite(E)
+    return np.asarray(E)
 
 
 def _stacked(A: np.ndarray, B: np.ndarray, extra: int) -> np.ndarray:
@@ -254,7 +258,3 @@ def pair(A: Any, B: Any, *, stack: bool = True) -> tuple[np.ndarray, np.ndarray]
             f"B must have shape {(*A.shape[:-1], 'm')}, got {B.shape}".replace("'", "")
         )
     return A, B
-
-
-def _sample_time(dt: Any) -> float:
-    return _validate.positive("dt", dt)

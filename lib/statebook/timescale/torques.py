@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from statebook.timescale.bounds import bounds
-from statebook.timescale.limits import TorqueLimit
+from statebook.probes import takes_batches
+from statebook.timescale.limits import TorqueLimit, bounds
 from statebook.timescale.path import Path
 
 _SAMPLES = 5
@@ -73,13 +73,7 @@ def _vectorized(function: Callable, q: np.ndarray, slope: np.ndarray, rows: int)
             )
         return values
 
-    expected = one_by_one(q, slope, slope[::-1])
-    try:
-        batch = np.asarray(function(q, slope, slope[::-1]), dtype=float)
-        agrees = batch.shape == expected.shape and np.allclose(batch, expected, rtol=1e-9)
-    except Exception:  # it was not written for batches, in whatever way that shows
-        agrees = False
-    if agrees:
+    if takes_batches(function, q, slope, slope[::-1], alone=function, rtol=1e-9):
         return lambda q, qd, qdd: finite(np.asarray(function(q, qd, qdd), dtype=float), q)
     return lambda q, qd, qdd: finite(one_by_one(q, qd, qdd), q)
 

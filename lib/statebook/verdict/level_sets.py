@@ -1,11 +1,11 @@
-"""The smallest singular value of A - z I over the stability boundary."""
+"""Level sets of the smallest singular value on the stability boundary."""
 
 from __future__ import annotations
 
 import numpy as np
 import scipy
 
-from statebook.stability.boundary import margin, project
+from statebook.verdict.clusters import margin, project
 
 # Level sets are taken this far below the best value, so that the sets are not empty by rounding.
 _BELOW = 1e-10

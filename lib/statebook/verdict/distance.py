@@ -1,11 +1,12 @@
-"""Distance to instability: the smallest perturbation that reaches the boundary."""
+"""How far a stable matrix is from an unstable one."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from statebook.stability.judge import ASYMPTOTICALLY_STABLE, is_discrete, judge, square
-from statebook.stability.level_sets import boundary_distance
+from statebook import _validate
+from statebook.verdict.level_sets import boundary_distance
+from statebook.verdict.stability import ASYMPTOTICALLY_STABLE, judge
 
 
 def distance_to_instability(A: Any, *, dt: float | bool | None = None) -> float:
@@ -44,8 +45,8 @@ def distance_to_instability(A: Any, *, dt: float | bool | None = None) -> float:
     >>> distance_to_instability([[-1.0, 100.0], [0.0, -3.0]]) < 0.03
     True
     """
-    A = square("A", A)
-    discrete = is_discrete(dt)
+    A = _validate.square("A", A)
+    discrete = _validate.is_discrete(dt)
     if len(A) == 0:
         return float("inf")
     if judge(A, discrete, check_distance=False).verdict != ASYMPTOTICALLY_STABLE:

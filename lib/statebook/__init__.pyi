@@ -1,0 +1,67 @@
+"""The public names: where each is defined. The package itself reads this file."""
+
+from . import controllers as controllers
+from . import plotting as plotting
+from .angles import wrap_angle as wrap_angle
+from .checking import check as check
+from .control_trajectory import ControlTrajectory as ControlTrajectory
+from .controllers.linear import LQR as LQR
+from .controllers.linear import PD as PD
+from .controllers.linear import PID as PID
+from .controllers.open_loop import bang_bang as bang_bang
+from .controllers.swing_up import CartPoleSwingUp as CartPoleSwingUp
+from .controllers.swing_up import SwingUp as SwingUp
+from .controllers.swing_up import cart_force as cart_force
+from .derivatives import InexactDerivativeWarning as InexactDerivativeWarning
+from .equilibrium import Equilibrium as Equilibrium
+from .equilibrium import find_equilibrium as find_equilibrium
+from .errors import DivergenceError as DivergenceError
+from .errors import EquilibriumNotFoundError as EquilibriumNotFoundError
+from .errors import InfeasiblePathError as InfeasiblePathError
+from .errors import KinkError as KinkError
+from .errors import NotAnEquilibriumError as NotAnEquilibriumError
+from .integration import integrate as integrate
+from .integration import integrate_euler as integrate_euler
+from .linearization import jacobians as jacobians
+from .linearization import linearize as linearize
+from .models.car import DubinsCar as DubinsCar
+from .models.cart_pole import CartPole as CartPole
+from .models.oscillator import Oscillator as Oscillator
+from .models.particle import Particle as Particle
+from .models.pendulum import Pendulum as Pendulum
+from .models.planar_arm import PlanarArm as PlanarArm
+from .plotting.style import use_style as use_style
+from .runge_kutta import METHODS as METHODS
+from .runge_kutta import ButcherTableau as ButcherTableau
+from .runge_kutta import amplification_matrix as amplification_matrix
+from .runge_kutta import stability_function as stability_function
+from .sampling import discretize as discretize
+from .sampling import discretize_many as discretize_many
+from .sampling import map_eigenvalues as map_eigenvalues
+from .simulation import simulate as simulate
+from .simulation import simulate_clocked as simulate_clocked
+from .sweeping import sweep as sweep
+from .systems import System as System
+from .systems import as_system as as_system
+from .timescale.path import Path as Path
+from .timescale.scaling import time_scale as time_scale
+from .timescale.timed_path import TimedPath as TimedPath
+from .trajectory import Trajectory as Trajectory
+from .uncertainty.consistency import consistency as consistency
+from .uncertainty.error_models import with_actuation_error as with_actuation_error
+from .uncertainty.error_models import with_disturbance as with_disturbance
+from .uncertainty.error_models import with_measurement_error as with_measurement_error
+from .uncertainty.error_models import with_parameters as with_parameters
+from .uncertainty.monte_carlo import monte_carlo as monte_carlo
+from .uncertainty.noise import HeldNoise as HeldNoise
+from .uncertainty.noise import discretize_noise as discretize_noise
+from .verdict.distance import distance_to_instability as distance_to_instability
+from .verdict.maps import eigenvalue_map as eigenvalue_map
+from .verdict.report import Mode as Mode
+from .verdict.report import StabilityReport as StabilityReport
+from .verdict.stability import stability as stability
+from .verdict.steps import critical_sample_time as critical_sample_time
+from .verdict.steps import critical_step as critical_step
+
+__version__: str
+pi: float

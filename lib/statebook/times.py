@@ -1,0 +1,38 @@
+"""Increasing times: checks, and which interval a time falls into."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from statebook import _validate
+
+
+def increasing(name: str, times: Any, minimum: int) -> np.ndarray:
+    """Check times: finite, increasing, at least so many; return a read-only copy."""
+    times = _validate.real_array(name, times, (None,)).copy()
+    if len(times) < minimum:
+        raise ValueError(f"{name} must hold at least {minimum} times, got {len(times)}")
+    if np.any(np.diff(times) <= 0):
+        k = int(np.argmax(np.diff(times) <= 0))
+        raise ValueError(f"{name} must increase, got {times[k]:g} before {times[k + 1]:g}")
+    times.setflags(write=False)
+    return times
+
+
+def within(name: str, t: Any, times: np.ndarray) -> np.ndarray:
+    """Check that each t is inside the times, to rounding; return it moved inside."""
+    t = _validate.real_array(name, t)
+    slack = 1e-12 * max(np.abs(times[[0, -1]]).max(), times[-1] - times[0])
+    outside = (t < times[0] - slack) | (t > times[-1] + slack)
+    if np.any(outside):
+        raise ValueError(
+            f"{name} must be within [{times[0]:g}, {times[-1]:g}], got {t[outside].flat[0]:g}"
+        )
+    return np.clip(t, times[0], times[-1])
+
+
+def interval_of(t: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Index k with times[k] <= t < times[k + 1], the last interval at the last time."""
+    return np.clip(np.searchsorted(times, t, side="right") - 1, 0, max(len(times) - 2, 0))

@@ -1,0 +1,1 @@
+"""Stability of linear systems and of equilibria: verdicts with their evidence."""
