@@ -65,12 +65,10 @@ def check(
     else:
         value, expected = _numbers(name, value), _numbers(name, expected)
         agree = bool(np.all(np.isclose(value, expected, rtol=rtol, atol=atol)))
-    holds = {
-        "==": lambda: agree,
-        "differs": lambda: not agree,
-        "<": lambda: bool(np.all(value < expected)),
-        ">": lambda: bool(np.all(value > expected)),
-    }[relation]()
+    if relation in "<>":
+        holds = bool(np.all(value < expected if relation == "<" else value > expected))
+    else:
+        holds = agree == (relation == "==")
     tolerance = "" if exact or relation in "<>" else _tolerance(expected, rtol, atol)
     if not holds:
         raise AssertionError(

@@ -12,7 +12,7 @@ import numpy as np
 from statebook._validate import brief
 
 
-def arguments_of(f: Callable) -> tuple[int, int]:
+def arguments_of(f: Callable[..., Any]) -> tuple[int, int]:
     """Return how many of x, u the function requires and how many it accepts."""
     try:
         parameters = inspect.signature(f).parameters.values()
@@ -29,7 +29,7 @@ def arguments_of(f: Callable) -> tuple[int, int]:
     return max(required, 1), 2 if variadic else len(positional)
 
 
-def require_pure(f: Callable, arguments: tuple[np.ndarray, ...]) -> None:
+def require_pure(f: Callable[..., Any], arguments: tuple[np.ndarray, ...]) -> None:
     """Refuse a function that changes its arguments or remembers its last call."""
     copies = [a.copy() for a in arguments]
     first = np.array(f(*copies))

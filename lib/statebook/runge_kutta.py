@@ -130,7 +130,7 @@ class ButcherTableau:
         return ratio if ratio.ndim else ratio.item()
 
 
-def _fractions(name: str, values) -> tuple[Fraction, ...]:
+def _fractions(name: str, values: Any) -> tuple[Fraction, ...]:
     try:
         return tuple(Fraction(value) for value in values)
     except (TypeError, ValueError, OverflowError) as error:
@@ -210,7 +210,7 @@ def as_tableau(method: str | ButcherTableau) -> ButcherTableau:
     return METHODS[_validate.choice("method", method, (*METHODS, SEMI_IMPLICIT_EULER))]
 
 
-def stability_function(method: str | ButcherTableau, z: complex | np.ndarray):
+def stability_function(method: str | ButcherTableau, z: complex | np.ndarray) -> Any:
     """Growth factor R(z) of one step on x' = lambda x, z = h lambda.
 
     Parameters
@@ -234,7 +234,9 @@ def stability_function(method: str | ButcherTableau, z: complex | np.ndarray):
     return as_tableau(method).stability_function(z)
 
 
-def amplification_matrix(A: np.ndarray, dt: float | np.ndarray, method: str | ButcherTableau):
+def amplification_matrix(
+    A: np.ndarray, dt: float | np.ndarray, method: str | ButcherTableau
+) -> np.ndarray:
     """The matrix M of one step x_next = M x of a method on x' = A x.
 
     ``M = R(dt A)``, the stability function of the method with z replaced by a matrix.
@@ -297,7 +299,7 @@ def amplification_matrix(A: np.ndarray, dt: float | np.ndarray, method: str | Bu
         ) from error
 
 
-def _matrix_polynomial(coefficients: np.ndarray, Z: np.ndarray, identity: np.ndarray):
+def _matrix_polynomial(coefficients: np.ndarray, Z: np.ndarray, identity: np.ndarray) -> np.ndarray:
     result = coefficients[-1] * identity
     for coefficient in coefficients[-2::-1]:
         result = result @ Z + coefficient * identity

@@ -170,7 +170,12 @@ def _check_start(system: System, x0: np.ndarray, u: np.ndarray, t: float) -> Non
 
 
 def _trajectory(
-    system: System, times: np.ndarray, states: list, policy: Policy, *, partial: bool = False
+    system: System,
+    times: np.ndarray,
+    states: list[np.ndarray],
+    policy: Policy,
+    *,
+    partial: bool = False,
 ) -> Trajectory:
     controls = None
     if system.m:

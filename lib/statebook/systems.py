@@ -223,7 +223,7 @@ def _from_control(sys: Any) -> System:
     )
 
 
-def _from_function(f: Callable, x0: Any, u0: Any, dt: float | bool | None) -> System:
+def _from_function(f: Callable[..., Any], x0: Any, u0: Any, dt: float | bool | None) -> System:
     if x0 is None:
         raise ValueError("x0 is required for a plain function: its length tells the state's")
     x0 = _validate.array("x0", x0)

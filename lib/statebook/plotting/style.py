@@ -39,7 +39,7 @@ def use_style() -> None:
     except ImportError:  # not in a notebook
         return
     if get_ipython() is not None:
-        set_matplotlib_formats("retina")
+        set_matplotlib_formats("retina")  # type: ignore[no-untyped-call]
 
 
 def new_axes(ax: Axes | None) -> Axes:

@@ -196,7 +196,7 @@ class TorqueLimit(Limit):
     def name(self, row: int, side: str) -> str:
         return f"torque of row {row}, {side} limit"
 
-    def misfit(self, grid: Grid, u: Callable, x: Callable) -> np.ndarray:
+    def misfit(self, grid: Grid, u: Callable[..., Any], x: Callable[..., Any]) -> np.ndarray:
         """Return the part of the bounds by which polynomials miss the torques, (N,).
 
         u and x give s'' and s'^2, (K, N), at fractions z (K,) of the intervals.

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -94,7 +95,7 @@ def _by_interval(values: np.ndarray) -> np.ndarray:
     return values.transpose(1, 0, 2).reshape(values.shape[1], -1)
 
 
-def _normalized(w: np.ndarray, x: np.ndarray, c: np.ndarray, labels: list) -> Rows:
+def _normalized(w: np.ndarray, x: np.ndarray, c: np.ndarray, labels: list[Any]) -> Rows:
     """Balance both unknowns, and scale rows to unit gradient, as the solver's tolerance needs.
 
     A row that no motion in reach can violate says 0 <= 1. Steps are powers of two, for the solver

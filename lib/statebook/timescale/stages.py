@@ -49,7 +49,7 @@ def _toppra() -> tuple[Any, Any]:
     except ImportError as error:
         raise ImportError("time_scale needs the package toppra: pip install toppra") from error
 
-    class Block(LinearConstraint):
+    class Block(LinearConstraint):  # type: ignore[misc]
         """Some columns of the rows, in toppra's form F (a u + b x + c) <= g with F = 1."""
 
         def __init__(self, w: np.ndarray, x: np.ndarray, c: np.ndarray) -> None:
@@ -58,13 +58,13 @@ def _toppra() -> tuple[Any, Any]:
             columns = w.shape[1]
             self.parameters = (w, x, c, np.eye(columns), np.zeros(columns), None, None)
 
-        def compute_constraint_params(self, *args: Any, **kwargs: Any) -> tuple:
+        def compute_constraint_params(self, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
             return self.parameters
 
     return seidelWrapper, Block
 
 
-def _stage_solver(rows: Rows) -> Callable:
+def _stage_solver(rows: Rows) -> Callable[..., Any]:
     """Return toppra's function for one stage; its x_next = x + 2 delta w."""
     wrapper, block = _toppra()
     columns = rows.w.shape[1]
@@ -116,7 +116,7 @@ def fastest_profile(
 
 
 def _controllable(
-    solve: Callable,
+    solve: Callable[..., Any],
     section: Section,
     units: list[float],
     steps: list[float],
@@ -156,7 +156,7 @@ def _controllable(
 
 
 def _drive(
-    solve: Callable,
+    solve: Callable[..., Any],
     section: Section,
     units: list[float],
     steps: list[float],
@@ -185,7 +185,7 @@ def _drive(
 
 
 def _obstacle(
-    solve: Callable,
+    solve: Callable[..., Any],
     section: Section,
     units: list[float],
     steps: list[float],

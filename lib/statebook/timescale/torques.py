@@ -45,7 +45,7 @@ def torque_limit(path: Path, torque: Any, inverse_dynamics: Any) -> TorqueLimit:
     return TorqueLimit("torque", lower, upper, dynamics)
 
 
-def _rows(function: Callable, q: np.ndarray) -> int:
+def _rows(function: Callable[..., Any], q: np.ndarray) -> int:
     """Return the number of rows of the function's values."""
     value = np.asarray(function(q, np.zeros_like(q), np.zeros_like(q)))
     if value.ndim != 1 or value.dtype.kind not in "iuf":
@@ -56,7 +56,9 @@ def _rows(function: Callable, q: np.ndarray) -> int:
     return len(value)
 
 
-def _vectorized(function: Callable, q: np.ndarray, slope: np.ndarray, rows: int) -> Callable:
+def _vectorized(
+    function: Callable[..., Any], q: np.ndarray, slope: np.ndarray, rows: int
+) -> Callable[..., Any]:
     """Return the function for batches: itself if its batches agree with its single values."""
 
     def one_by_one(q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
@@ -78,7 +80,7 @@ def _vectorized(function: Callable, q: np.ndarray, slope: np.ndarray, rows: int)
     return lambda q, qd, qdd: finite(one_by_one(q, qd, qdd), q)
 
 
-def _check_form(dynamics: Callable, q: np.ndarray, slope: np.ndarray) -> None:
+def _check_form(dynamics: Callable[..., Any], q: np.ndarray, slope: np.ndarray) -> None:
     """Refuse what is not affine in qdd or not purely quadratic in qd.
 
     A term linear in qd dominates at low speed, one of higher order at high speed: both are tried.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from graphlib import TopologicalSorter
+from typing import Any
 
 import numpy as np
 import scipy
@@ -164,12 +165,12 @@ class Cluster:
     spread: float
 
 
-def margin(eigenvalues, discrete: bool):
+def margin(eigenvalues: Any, discrete: bool) -> Any:
     """Distance of eigenvalues from the boundary, positive inside."""
     return 1 - np.abs(eigenvalues) if discrete else -np.real(eigenvalues)
 
 
-def project(eigenvalues, discrete: bool):
+def project(eigenvalues: Any, discrete: bool) -> Any:
     """Nearest points of the boundary: the imaginary axis or the unit circle."""
     if not discrete:
         return 1j * np.imag(eigenvalues)
