@@ -170,7 +170,7 @@ class Bench:
 
     def pytest(self, *arguments: str, timeout: float | None = None) -> str:
         """Outcome of a pytest run in the copy: "passed", "failed" or "timeout"."""
-        # The plugin loads the package before coverage starts; its warning would be an error.
+        # A chapter's kernel alone imports the package; coverage's warning would be an error.
         quiet = "-Wignore::coverage.exceptions.CoverageWarning"
         command = [sys.executable, "-B", "-m", "pytest", "-q", "-p", "no:cacheprovider", quiet]
         # What Hypothesis remembers of one mutant must not convict the next.
