@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Make .venv, install statebook and do one job, the same on Linux, macOS and Windows.
+"""Make .venv, install statebook and nbregress and do one job, the same on Linux, macOS and Windows.
 
     python3 run.py book                     execute every chapter, build the site in _build/html
     python3 run.py test [pytest options]    run every test
@@ -22,6 +22,7 @@ import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent
+NBREGRESS = Path("lib", "nbregress")  # a package of its own, below ROOT
 VENV = ROOT / ".venv"
 BUILD = ROOT / "_build"
 CHAPTERS = "[0-9][0-9]_*.ipynb"
@@ -84,8 +85,9 @@ def ensure_environment():
 
     The stamp is written last, so an installation that was interrupted starts anew.
     """
-    files = [(ROOT / name).read_bytes() for name in ("requirements.txt", "pyproject.toml")]
-    wanted = [platform.python_version(), str(ROOT), hashlib.sha256(b"".join(files)).hexdigest()]
+    names = ("requirements.txt", "pyproject.toml", NBREGRESS / "pyproject.toml")
+    files = b"".join((ROOT / name).read_bytes() for name in names)
+    wanted = [platform.python_version(), str(ROOT), hashlib.sha256(files).hexdigest()]
     stamp = VENV / "statebook-stamp"
     found = stamp.read_text(encoding="utf-8").splitlines() if stamp.is_file() else []
     usable = venv_python().exists() and found[:2] == wanted[:2]
@@ -96,7 +98,8 @@ def ensure_environment():
     else:
         make_venv()
     others, toppra = requirements()
-    code, log = pip([*others, "--editable", str(ROOT)], "installing")
+    folders = ["--editable", str(ROOT), "--editable", str(ROOT / NBREGRESS)]
+    code, log = pip([*others, *folders], "installing")
     if code:
         fail(explain(log))
     code, log = pip(toppra, "installing toppra")
@@ -242,7 +245,7 @@ def book(arguments):
     for folder in (source, html):
         shutil.rmtree(str(folder), ignore_errors=True)
     shutil.copytree(str(ROOT / "book"), str(source))
-    execute = ["-m", "statebook.regression", "execute", "--jobs", WORKERS, "--output-dir"]
+    execute = ["-m", "nbregress", "execute", "--jobs", WORKERS, "--output-dir"]
     files, left_out = notebooks(CHAPTERS)
     command = [*execute, str(source / "chapters"), *files]
     code, log = watch(command, BUILD / "execute.log", bar("executing"))
@@ -279,7 +282,7 @@ def lab(arguments):
 def refresh(arguments):
     """Execute committed chapters again, in place."""
     files = [str(Path(name).resolve()) for name in arguments] or notebooks(CHAPTERS)[0]
-    return run(["-m", "statebook.regression", "refresh", "--jobs", WORKERS, *files])
+    return run(["-m", "nbregress", "refresh", "--jobs", WORKERS, *files])
 
 
 def main(arguments):

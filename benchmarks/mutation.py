@@ -50,8 +50,7 @@ MODULES = (
     "timescale/*.py",
 )
 # Tests of the project rather than of the library.
-NOT_UNIT = tuple(f"test_{name}" for name in ("book", "matrix", "package", "regression", "run",
-                                             "workbook"))  # fmt: skip
+NOT_UNIT = tuple(f"test_{name}" for name in ("book", "matrix", "package", "run", "workbook"))
 COPIED = ("lib", "tests", "workbook", "book", "pyproject.toml", "README.md", "requirements.txt")
 
 BINARY = {
@@ -166,12 +165,12 @@ class Bench:
         # A run that was interrupted may have left its mutant behind.
         shutil.copytree(self.whole, self.copy, dirs_exist_ok=True)
         points = importlib.metadata.entry_points(group="pytest11")
-        loaded = any(point.value == "statebook.regression.plugin" for point in points)
-        self.plugin = [] if loaded else ["-p", "statebook.regression.plugin"]
+        loaded = any(point.value == "nbregress.plugin" for point in points)
+        self.plugin = [] if loaded else ["-p", "nbregress.plugin"]
 
     def pytest(self, *arguments: str, timeout: float | None = None) -> str:
         """Outcome of a pytest run in the copy: "passed", "failed" or "timeout"."""
-        # The plugin loads the package before coverage starts; its warning would be an error.
+        # A chapter's kernel alone imports the package; coverage's warning would be an error.
         quiet = "-Wignore::coverage.exceptions.CoverageWarning"
         command = [sys.executable, "-B", "-m", "pytest", "-q", "-p", "no:cacheprovider", quiet]
         # What Hypothesis remembers of one mutant must not convict the next.
@@ -196,9 +195,10 @@ class Bench:
         return "passed" if code == 0 else "failed"
 
     def _environment(self) -> dict[str, str]:
+        lib = self.copy / "lib"
         return {
             **os.environ,
-            "PYTHONPATH": str(self.copy / "lib"),
+            "PYTHONPATH": os.pathsep.join(map(str, (lib, lib / "nbregress" / "src"))),
             "PYTHONDONTWRITEBYTECODE": "1",
             "OMP_NUM_THREADS": "1",
             "OPENBLAS_NUM_THREADS": "1",
@@ -211,7 +211,7 @@ class Bench:
         """
         arguments = ["--cov=statebook", "--cov-report="]
         if chapter:
-            refresh = [sys.executable, "-m", "statebook.regression", "refresh", chapter]
+            refresh = [sys.executable, "-m", "nbregress", "refresh", chapter]
             subprocess.run(refresh, cwd=self.copy, env=self._environment(), capture_output=True)
             shutil.copy(self.copy / chapter, self.whole / "workbook")
             outcome = self.pytest(*arguments, *self._nbval(), chapter)

@@ -72,4 +72,4 @@ def test_front_page_lists_every_chapter(site):
 def test_a_figure_shows_and_its_digest_does_not(site):
     pages = [p.read_text(encoding="utf-8") for p in (site / "chapters").glob("*.html")]
     assert any('class="cell_output' in page and ".png" in page for page in pages)
-    assert not any("vnd.statebook" in page for page in pages)
+    assert not any("figure+json" in page for page in pages)

@@ -21,7 +21,7 @@ def test_import_loads_nothing_heavy():
     assert run(f"import sys, statebook; print({heavy} & set(sys.modules))") == "set()"
 
 
-@pytest.mark.parametrize("name", [n for n in sb.__all__ if n != "regression"])
+@pytest.mark.parametrize("name", sb.__all__)
 def test_every_public_name_exists(name):
     if name in ("Path", "TimedPath", "time_scale"):
         pytest.importorskip("toppra")
@@ -36,6 +36,13 @@ def test_unknown_name():
 
 def test_offers_public_names_only():
     assert dir(sb) == sorted(sb.__all__)
+
+
+def test_the_notebook_regression_has_moved_out():
+    with pytest.raises(AttributeError, match=r"package nbregress.* pip install \S*lib/nbregress"):
+        _ = sb.regression
+    assert "regression" not in sb.__all__ and "regression" not in dir(sb)
+    assert run("import sys, statebook.plotting; print('nbregress' in sys.modules)") == "False"
 
 
 def test_importing_a_room_hides_no_function():

@@ -37,7 +37,9 @@ def run(tmp_path, monkeypatch):
     root = tmp_path / "my copy"
     root.mkdir()
     (root / "requirements.txt").write_text("# core\n\nnumpy>=2.2\ntoppra>=0.6.3\nscipy>=1.15\n")
-    (root / "pyproject.toml").write_text("[project]\n")
+    for folder in (root, root / "lib" / "nbregress"):
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "pyproject.toml").write_text("[project]\n")
     monkeypatch.setattr(module, "ROOT", root)
     monkeypatch.setattr(module, "VENV", root / ".venv")
     monkeypatch.setattr(module, "BUILD", root / "_build")
@@ -94,10 +96,11 @@ def test_usage_without_a_job():
 
 
 def test_second_run_installs_nothing(run):
+    nbregress = str(run.ROOT / "lib" / "nbregress")
     run.ensure_environment()
     assert run.calls == [
         "venv",
-        ["numpy>=2.2", "scipy>=1.15", "--editable", str(run.ROOT)],
+        ["numpy>=2.2", "scipy>=1.15", "--editable", str(run.ROOT), "--editable", nbregress],
         ["toppra>=0.6.3"],
     ]
     run.calls.clear()
@@ -105,7 +108,9 @@ def test_second_run_installs_nothing(run):
     assert run.calls == []
 
 
-@pytest.mark.parametrize("name", ["requirements.txt", "pyproject.toml"])
+@pytest.mark.parametrize(
+    "name", ["requirements.txt", "pyproject.toml", "lib/nbregress/pyproject.toml"]
+)
 def test_changed_file_installs_again_without_a_new_venv(run, name):
     run.ensure_environment()
     run.calls.clear()
@@ -325,15 +330,20 @@ def test_requirements_are_environment_free():
 
 
 def test_requirements_and_extras_agree():
-    """requirements.txt is the package with the extras that the two commands need."""
+    """requirements.txt is both packages with the extras that the two commands need."""
     text = (ROOT / "requirements.txt").read_text(encoding="utf-8")
     required = {line for line in text.splitlines() if line[0] != "#"}
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    extras = project["optional-dependencies"]
-    wanted = set(project["dependencies"])
-    for extra in ("timescale", "regression", "lab", "test", "site"):
+    statebook, nbregress = (
+        tomllib.loads((ROOT / folder / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+        for folder in ("", "lib/nbregress")
+    )
+    extras = statebook["optional-dependencies"]
+    wanted = {*statebook["dependencies"], *nbregress["dependencies"]}
+    for extra in ("timescale", "lab", "test", "site"):
         wanted |= {name for name in extras[extra] if not name.startswith("statebook[")}
     assert required == wanted
+    assert "optional-dependencies" not in nbregress
+    assert not any("nbregress" in name for names in extras.values() for name in names)
 
 
 def test_ci_runs_the_command_of_the_readme():

@@ -11,9 +11,8 @@ from typing import Any
 import pytest
 from nbval.plugin import IPyNbCell, IPyNbFile, NbCellError
 
-from statebook.regression.outputs import outputs_differences
-from statebook.regression.plugin import setting
-from statebook.regression.tolerance import Tolerance, tolerance, tolerance_tags
+from nbregress.outputs import outputs_differences
+from nbregress.tolerance import configured_tolerance, tolerance_tags
 
 # How often a silent kernel is asked whether it is still there.
 _POLL = 1.0
@@ -74,14 +73,14 @@ class NotebookFile(IPyNbFile):
     def shown_path(self) -> str:
         """The path as a reader in the invoking shell would write it."""
         try:
-            return os.path.relpath(self.path, self.config.invocation_params.dir)
+            return str(os.path.relpath(self.path, self.config.invocation_params.dir))
         except ValueError:  # on another drive
             return str(self.path)
 
     @property
     def refresh_command(self) -> str:
         """The command that accepts what the notebook produces now."""
-        return f"python -m statebook.regression refresh {self.shown_path}"
+        return f"python -m nbregress refresh {self.shown_path}"
 
     def teardown(self) -> None:
         """Close the kernel, whatever state it is in."""
@@ -156,16 +155,15 @@ class NotebookCell(IPyNbCell):
         if self.parent.problem is not None and self is not self._first():
             pytest.skip("the notebook cannot run; see its first failure")
 
-    def _first(self) -> pytest.Item:
-        items = [item for item in self.session.items if item.parent is self.parent]
-        return items[0]
+    def _first(self) -> Any:
+        return next(item for item in self.session.items if item.parent is self.parent)
 
     def runtest(self) -> None:
         """Execute the cell and compare, or say why that proves nothing."""
         if self.parent.problem is not None:
             self.raise_cell_error(f"the notebook {self.parent.problem}")
         try:
-            self.tolerance = self._tolerance()
+            self.tolerance = configured_tolerance(self.config)._replace(**tolerance_tags(self.cell))
         except ValueError as error:
             self.raise_cell_error(str(error))
         try:
@@ -207,10 +205,6 @@ class NotebookCell(IPyNbCell):
 
     def _accept(self) -> str:
         return f"to accept: {self.parent.refresh_command}"
-
-    def _tolerance(self) -> Tolerance:
-        settings = {name: tolerance(setting(self.config, name)) for name in Tolerance._fields}
-        return Tolerance(**{**settings, **tolerance_tags(self.cell)})
 
 
 def _printed(outputs: Any) -> str:

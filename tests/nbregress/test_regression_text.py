@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from statebook.regression.textdiff import text_difference
+from nbregress.textdiff import text_difference
 
 
 def compare(stored, new, rtol=1e-5, atol=1e-12):

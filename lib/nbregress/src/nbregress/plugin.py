@@ -9,13 +9,15 @@ from typing import Any
 
 import pytest
 
+from nbregress.tolerance import configured_tolerance
+
 # nbval's own limit of 2000 s for a cell outlasts any patience, and most CI jobs.
 _NBVAL_TIMEOUT, _TIMEOUT = 2000.0, 300.0
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add ``--regression-rtol`` and ``--regression-atol``, and their ini settings."""
-    group = parser.getgroup("statebook", "numbers and figures in notebooks (with --nbval)")
+    group = parser.getgroup("nbregress", "numbers and figures in notebooks (with --nbval)")
     for name, default, text in (
         ("rtol", "1e-5", "relative tolerance of numbers and figure data"),
         ("atol", "1e-12", "absolute tolerance of numbers and figure data"),
@@ -29,13 +31,10 @@ def pytest_configure(config: pytest.Config) -> None:
     """Check the tolerances; with pytest-xdist, keep a notebook on one worker."""
     if not _active(config):
         return
-    for name in ("rtol", "atol"):
-        from statebook.regression.tolerance import tolerance
-
-        try:
-            tolerance(setting(config, name))
-        except ValueError as error:
-            raise pytest.UsageError(f"regression {name}: {error}") from error
+    try:
+        configured_tolerance(config)
+    except ValueError as error:
+        raise pytest.UsageError(str(error)) from error
     option = config.option
     if option.nbval_cell_timeout == _NBVAL_TIMEOUT:
         option.nbval_cell_timeout = _TIMEOUT
@@ -50,7 +49,7 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> Generator[
     if file_path.suffix == ".ipynb" and _active(parent.config):
         from nbval.plugin import IPyNbFile
 
-        from statebook.regression.items import NotebookFile
+        from nbregress.items import NotebookFile
 
         return [
             NotebookFile.from_parent(parent, path=file_path) if type(c) is IPyNbFile else c
@@ -61,19 +60,3 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> Generator[
 
 def _active(config: pytest.Config) -> bool:
     return bool(config.getoption("nbval", False))
-
-
-def setting(config: pytest.Config, name: str) -> str:
-    """A tolerance as the command line or else the ini file gives it.
-
-    Parameters
-    ----------
-    config : pytest.Config
-    name : "rtol" or "atol"
-
-    Returns
-    -------
-    text : str
-    """
-    given = config.getoption(f"regression_{name}")
-    return str(given if given is not None else config.getini(f"regression_{name}"))

@@ -6,7 +6,7 @@ of a FancyArrowPatch and the corners of three-dimensional collections.
 
 from typing import Any
 
-from statebook.regression.summary import summarize
+from nbregress.summary import summarize
 
 # Beyond this many, unlabelled lines of one axes are summarized together.
 _SINGLE_LINES = 10

@@ -1,9 +1,13 @@
 """How far numbers may be apart: defaults, settings, tags of a cell."""
 
 import math
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-_TAG = "regression-"
+if TYPE_CHECKING:
+    import pytest
+
+_TAG = "regression-"  # of a cell
+_OPTION = "regression_"  # of pytest
 
 
 class Tolerance(NamedTuple):
@@ -49,6 +53,32 @@ def tolerance(text: str) -> float:
     if not 0.0 <= value < math.inf:
         raise ValueError(f"must be a number >= 0, got {text!r}")
     return value
+
+
+def configured_tolerance(config: "pytest.Config") -> Tolerance:
+    """The tolerance that the command line or else the ini file gives.
+
+    Parameters
+    ----------
+    config : pytest.Config
+
+    Returns
+    -------
+    tolerance : Tolerance
+
+    Raises
+    ------
+    ValueError
+        If a setting is not a finite number >= 0.
+    """
+    values = {}
+    for name in Tolerance._fields:
+        given = config.getoption(f"{_OPTION}{name}")
+        try:
+            values[name] = tolerance(config.getini(f"{_OPTION}{name}") if given is None else given)
+        except ValueError as error:
+            raise ValueError(f"{_OPTION}{name} {error}") from None
+    return Tolerance(**values)
 
 
 def tolerance_tags(cell: Any) -> dict[str, float]:

@@ -18,10 +18,10 @@ from jupyter_client.manager import AsyncKernelManager
 from nbclient import NotebookClient
 from nbclient.exceptions import CellExecutionError, CellTimeoutError
 
-from statebook.regression.figures import MIME_TYPE
-from statebook.regression.normalize import normalize
-from statebook.regression.outputs import outputs_differences
-from statebook.regression.tolerance import Tolerance, tolerance_tags
+from nbregress.figures import MIME_TYPE
+from nbregress.normalize import normalize
+from nbregress.outputs import outputs_differences
+from nbregress.tolerance import Tolerance, tolerance_tags
 
 
 class NotebookError(Exception):

@@ -12,9 +12,11 @@ import nbformat
 import pytest
 from nbformat.v4 import new_code_cell, new_notebook, new_output
 
-ROOT = Path(__file__).resolve().parents[1]
+SOURCE = Path(__file__).resolve().parents[2] / "lib" / "nbregress" / "src"
+# What figures were stored as when the package was part of statebook.
+OLD_TYPE = "application/vnd.statebook.figure+json"
 SETUP = """\
-%load_ext statebook.regression
+%load_ext nbregress
 import numpy as np
 import matplotlib.pyplot as plt
 t = np.linspace(0, 10, 1000)
@@ -83,6 +85,7 @@ MUST_PASS = {
         "fig, ax = curve()\nax.xaxis.label.set(size=20, family='serif')\nplt.show()",
     ),
     "figure at the end of the cell": Case("fig, ax = curve()", "fig, ax = curve(dpi=50)"),
+    "figure of the old type": Case("curve()\nplt.show()", "curve(np.sin(t) * noise)\nplt.show()"),
     "nothing": Case("x = 1", "x = 2"),
 }
 
@@ -150,24 +153,29 @@ MUST_FAIL = {
         "curve()\ncurve()\nplt.show()",
         "2 displayed outputs (figure, figure)",
     ),
+    "one point of a figure of the old type": Case(
+        "curve()\nplt.show()",
+        "curve(np.where(np.arange(1000) == 437, 1.01, 1) * np.sin(t))\nplt.show()",
+        "axes 1, line 1 'sine', y: point 438 of 1000 differs by",
+    ),
     "figure without its data": Case(
         "curve()\nplt.show()",
-        "%unload_ext statebook.regression\ncurve()\nplt.show()\n%load_ext statebook.regression",
+        "%unload_ext nbregress\ncurve()\nplt.show()\n%load_ext nbregress",
         "a figure's data are stored, but none came",
     ),
 }
 
 
 def environment():
-    paths = [str(ROOT / "lib"), os.environ.get("PYTHONPATH", "")]
+    paths = [str(SOURCE), os.environ.get("PYTHONPATH", "")]
     return {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
 
 
 def pytest_process(folder, *arguments):
     points = importlib.metadata.entry_points(group="pytest11")
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--color=no"]
-    if all(point.value != "statebook.regression.plugin" for point in points):
-        command += ["-p", "statebook.regression.plugin"]
+    if all(point.value != "nbregress.plugin" for point in points):
+        command += ["-p", "nbregress.plugin"]
     command += ["--nbval", *arguments]
     return subprocess.run(command, cwd=folder, env=environment(), capture_output=True, text=True)
 
@@ -205,11 +213,14 @@ def results(tmp_path_factory):
             for case in table.values()
         ]
         store(folder / name, [cell(SETUP), *stored])
-    command = [sys.executable, "-m", "statebook.regression", "refresh", "--jobs", "2", *tables]
+    command = [sys.executable, "-m", "nbregress", "refresh", "--jobs", "2", *tables]
     subprocess.run(command, cwd=folder, env=environment(), check=True, capture_output=True)
     for name, table in tables.items():
         nb = nbformat.read(folder / name, as_version=4)
-        for old, case in zip(nb.cells[1:], table.values(), strict=True):
+        for old, (title, case) in zip(nb.cells[1:], table.items(), strict=True):
+            if "old type" in title:
+                data = old.outputs[0].data
+                data[OLD_TYPE] = data.pop("application/vnd.nbregress.figure+json")
             old.source, old.metadata["tags"] = case.new, list(case.tags)
         nbformat.write(nb, folder / name)
     broken_notebooks(folder)
@@ -246,7 +257,7 @@ def test_must_fail(results, index):
 
 def test_a_difference_prints_the_command_that_accepts_it(results):
     _, text = results[0]["failing.ipynb", "Cell 1"]
-    assert "to accept: python -m statebook.regression refresh failing.ipynb" in text
+    assert "to accept: python -m nbregress refresh failing.ipynb" in text
 
 
 @pytest.mark.parametrize(
@@ -293,7 +304,7 @@ def test_settings(tmp_path):
 
 def test_without_nbval_the_plugin_loads_nothing():
     code = (
-        "import sys, statebook.regression.plugin, statebook.regression as r\n"
+        "import sys, nbregress.plugin, nbregress as r\n"
         "print(*sorted({'numpy', 'matplotlib', 'nbval', 'nbformat', 'IPython'} & set(sys.modules)))"
     )
     done = subprocess.run(
@@ -306,18 +317,18 @@ def test_the_extension_loads_no_matplotlib():
     code = (
         "from IPython.core.interactiveshell import InteractiveShell\nimport sys\n"
         "shell = InteractiveShell.instance()\n"
-        "shell.run_line_magic('load_ext', 'statebook.regression')\n"
+        "shell.run_line_magic('load_ext', 'nbregress')\n"
         "assert 'matplotlib.figure' not in sys.modules and 'numpy' not in sys.modules\n"
         "from matplotlib.figure import Figure\n"
         "print(*shell.display_formatter.format(Figure())[0])\n"
-        "shell.run_line_magic('unload_ext', 'statebook.regression')\n"
+        "shell.run_line_magic('unload_ext', 'nbregress')\n"
         "print(*shell.display_formatter.format(Figure())[0])\n"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], env=environment(), capture_output=True, text=True
     )
     assert done.stdout.split() == [
-        "application/vnd.statebook.figure+json",
+        "application/vnd.nbregress.figure+json",
         "text/plain",
         "text/plain",
     ], done.stderr

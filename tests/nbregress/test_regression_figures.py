@@ -9,10 +9,10 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyArrowPatch
 
-from statebook.regression.figures import digest
-from statebook.regression.outputs import figures_differences
-from statebook.regression.summary import difference, summarize
-from statebook.regression.tolerance import Tolerance
+from nbregress.figures import MIME_TYPE, digest, rename_digest
+from nbregress.outputs import figures_differences, outputs_differences
+from nbregress.summary import difference, summarize
+from nbregress.tolerance import Tolerance
 
 T = np.linspace(0.0, 10.0, 1000)
 SINE, COSINE, ROOT = np.sin(T), np.cos(T), np.sqrt(T)
@@ -256,6 +256,30 @@ def test_other_kinds_of_figures():
     changed = copy.deepcopy(first)
     changed["subfigures"][0]["title"] = "bottom"
     assert compare(first, changed)
+
+
+@pytest.mark.parametrize("new_name", [MIME_TYPE, "application/vnd.statebook.figure+json"])
+def test_a_digest_under_its_old_name_is_compared(base, new_name):
+    """Stored by a release in which the package was part of statebook."""
+
+    def shown(name, figure):
+        data = {name: figure, "image/png": "AAAA", "text/plain": "<Figure>"}
+        return [{"output_type": "display_data", "data": data}]
+
+    stored = shown("application/vnd.statebook.figure+json", base)
+    before = copy.deepcopy(stored)
+    assert outputs_differences(stored, shown(new_name, base), Tolerance()) == []
+    messages = outputs_differences(stored, shown(new_name, draw(label="sinus")), Tolerance())
+    assert messages and all("'sinus'" in message for message in messages)
+    without = [{"output_type": "display_data", "data": {"image/png": "AAAA"}}]
+    (message,) = outputs_differences(stored, without, Tolerance())
+    assert "is %load_ext nbregress still in the notebook?" in message
+    assert stored == before
+
+
+def test_todays_name_wins_over_the_old_one():
+    both = {MIME_TYPE: 1, "application/vnd.statebook.figure+json": 2, "text/plain": "x"}
+    assert rename_digest(both) == {MIME_TYPE: 1, "text/plain": "x"}
 
 
 def test_missing_axes():

@@ -4,15 +4,18 @@ Labels, scales, limits, and what each artist draws, in data coordinates: fonts, 
 sizes on paper and the picture's bytes are left out.
 """
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from statebook.regression.artists import artists_digest
-from statebook.regression.summary import summarize
+from nbregress.artists import artists_digest
+from nbregress.summary import summarize
 
 if TYPE_CHECKING:
     from IPython.core.interactiveshell import InteractiveShell
 
-MIME_TYPE = "application/vnd.statebook.figure+json"
+MIME_TYPE = "application/vnd.nbregress.figure+json"
+# The name under which digests were stored before this package had its own.
+_OLD_MIME_TYPE = "application/vnd.statebook.figure+json"
 
 
 def install(shell: "InteractiveShell") -> None:
@@ -45,6 +48,30 @@ def _bundle(figure: Any, **_: Any) -> dict[str, Any]:
     return {MIME_TYPE: digest(figure)}
 
 
+def rename_digest(bundle: Mapping[str, Any]) -> dict[str, Any]:
+    """Give a digest that was stored under its old name today's.
+
+    Parameters
+    ----------
+    bundle : mapping
+        Data of an output by MIME type.
+
+    Returns
+    -------
+    renamed : dict
+        A copy; without an old name in it, an equal one.
+
+    Examples
+    --------
+    >>> rename_digest({"application/vnd.statebook.figure+json": {"version": 1}})
+    {'application/vnd.nbregress.figure+json': {'version': 1}}
+    """
+    renamed = dict(bundle)
+    if _OLD_MIME_TYPE in renamed:
+        renamed.setdefault(MIME_TYPE, renamed.pop(_OLD_MIME_TYPE))
+    return renamed
+
+
 def digest(figure: Any) -> dict[str, Any]:
     """Digest of what a figure shows.
 
@@ -55,7 +82,7 @@ def digest(figure: Any) -> dict[str, Any]:
     Returns
     -------
     digest : dict
-        JSON data; arrays appear as the texts of `statebook.regression.summary.summarize`.
+        JSON data; arrays appear as the texts of `nbregress.summary.summarize`.
 
     Examples
     --------

@@ -11,16 +11,16 @@ import nbformat
 import pytest
 from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook, new_output
 
-from statebook.regression.execute import NotebookError, keep_agreeing, read, write
-from statebook.regression.normalize import normalize
+from nbregress.execute import NotebookError, keep_agreeing, read, write
+from nbregress.normalize import normalize
 
-ROOT = Path(__file__).resolve().parents[1]
+SOURCE = Path(__file__).resolve().parents[2] / "lib" / "nbregress" / "src"
 
 
 def regression(folder, *arguments):
-    paths = [str(ROOT / "lib"), os.environ.get("PYTHONPATH", "")]
+    paths = [str(SOURCE), os.environ.get("PYTHONPATH", "")]
     return subprocess.run(
-        [sys.executable, "-m", "statebook.regression", *arguments],
+        [sys.executable, "-m", "nbregress", *arguments],
         cwd=folder,
         env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))},
         capture_output=True,
@@ -40,7 +40,7 @@ def run(tmp_path_factory):
         cells=[
             new_markdown_cell("# Title"),
             *cells(
-                "%load_ext statebook.regression\nimport os, sys\nprint(os.getcwd(), hash('a'))",
+                "%load_ext nbregress\nimport os, sys\nprint(os.getcwd(), hash('a'))",
                 "for k in range(3):\n    print(k, flush=True)",
                 "",
                 "import matplotlib.pyplot as plt\nplt.plot([1, 2]);",
@@ -96,7 +96,7 @@ def test_executed_copy(run):
     assert empty.execution_count is None and figure.execution_count == 3
     assert len(figure.outputs) == 1, "a semicolon hides the list of lines"
     assert set(figure.outputs[0].data) == {
-        "application/vnd.statebook.figure+json",
+        "application/vnd.nbregress.figure+json",
         "image/png",
         "text/plain",
     }
@@ -126,6 +126,25 @@ def test_refresh_is_byte_identical_and_keeps_what_agrees(run, tmp_path):
     assert path.read_bytes() == refreshed
     assert "new outputs: all" in regression(tmp_path, "refresh", "--all", "good.ipynb").stderr
     assert b"2.0000000001" not in path.read_bytes()
+
+
+def test_a_digest_under_its_old_name_is_renamed(run, tmp_path):
+    copy, path = run[0] / "out/copies/good.ipynb", tmp_path / "good.ipynb"
+    today = copy.read_text("utf-8")
+    old = today.replace("vnd.nbregress.figure", "vnd.statebook.figure")
+    assert old.count("vnd.statebook.figure") == 1
+    for stored, changes, written in (
+        (old, ([], []), today),
+        # The output is kept as it was stored, but for the name.
+        (noisy := old.replace('"1 2"', '"1 2.0000000001"'), ([], ["In [3]"]), None),
+        (old.replace('"1 2"', '"1 3"'), (["In [3]"], []), today),
+    ):
+        path.write_text(stored, "utf-8")
+        executed = read(copy)
+        assert keep_agreeing(read(path), executed) == changes
+        assert write(executed, path)
+        wanted = written or noisy.replace("vnd.statebook.figure", "vnd.nbregress.figure")
+        assert path.read_text("utf-8") == wanted
 
 
 def test_bad_arguments(tmp_path):

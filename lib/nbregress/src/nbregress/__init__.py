@@ -1,12 +1,12 @@
 """Notebook regression that survives another machine.
 
-Three parts, usable without the rest of the library:
+Three parts:
 
-- ``%load_ext statebook.regression`` in a notebook's first cell: every Matplotlib
+- ``%load_ext nbregress`` in a notebook's first cell: every Matplotlib
   figure it shows also stores a small digest of its data;
 - ``pytest --nbval`` with this package installed: numbers agree within a tolerance
   and figures by their data, and nothing passes because it was never compared;
-- ``python -m statebook.regression execute|refresh``: run notebooks and store their
+- ``python -m nbregress execute|refresh``: run notebooks and store their
   outputs reproducibly.
 """
 
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 
 
 def load_ipython_extension(shell: "InteractiveShell") -> None:
-    """Called by ``%load_ext statebook.regression``."""
-    from statebook.regression.figures import install
+    """Called by ``%load_ext nbregress``."""
+    from nbregress.figures import install
 
     install(shell)
 
 
 def unload_ipython_extension(shell: "InteractiveShell") -> None:
-    """Called by ``%unload_ext statebook.regression``."""
-    from statebook.regression.figures import uninstall
+    """Called by ``%unload_ext nbregress``."""
+    from nbregress.figures import uninstall
 
     uninstall(shell)

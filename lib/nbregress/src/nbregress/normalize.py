@@ -6,6 +6,8 @@ import struct
 import zlib
 from typing import Any
 
+from nbregress.figures import rename_digest
+
 _KERNELSPEC = {"display_name": "Python 3 (ipykernel)", "language": "python", "name": "python3"}
 _WIDGET = "application/vnd.jupyter.widget-view+json"
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -18,7 +20,8 @@ def normalize(nb: Any) -> None:
 
     Kernel and language version, timings, the chunks a stream happened to arrive in,
     tracebacks with the paths of one machine, random widget identifiers and the text
-    chunks of PNG pictures go; a missing cell id becomes a counted one.
+    chunks of PNG pictures go; a missing cell id becomes a counted one, and a figure's data
+    under their old type get today's.
 
     Parameters
     ----------
@@ -70,7 +73,10 @@ def _merge_streams(outputs: list[Any]) -> list[Any]:
 def _normalize_output(output: Any) -> None:
     if output.output_type == "error":
         output["traceback"] = [f"{output.ename}: {output.evalue}"]
-    data = output.get("data", {})
+    if "data" not in output:
+        return
+    output["data"] = rename_digest(output["data"])
+    data = output["data"]  # a notebook node by now
     data.pop(_WIDGET, None)
     if isinstance(data.get("image/png"), str):
         data["image/png"] = _plain_png(data["image/png"])

@@ -1,4 +1,4 @@
-"""Command line: ``python -m statebook.regression execute|refresh``."""
+"""Command line: ``python -m nbregress execute|refresh``."""
 
 import argparse
 import os
@@ -25,7 +25,7 @@ def _jobs(text: str) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="python -m statebook.regression",
+        prog="python -m nbregress",
         description="Execute notebooks and store their outputs reproducibly.",
     )
     commands = parser.add_subparsers(dest="command", required=True)
@@ -82,7 +82,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         options.output_dir.mkdir(parents=True, exist_ok=True)
 
     # Only now: Jupyter's packages take a second to load, too long for --help.
-    from statebook.regression.execute import keep_agreeing, read, run_all, write
+    try:
+        from nbregress.execute import keep_agreeing, read, run_all, write
+    except ModuleNotFoundError as error:
+        missing = (error.name or "nbregress").partition(".")[0]
+        if missing == "nbregress":
+            raise
+        parser.exit(
+            1,
+            f"{parser.prog} needs the package {missing}, which this Python does not have; "
+            f"install it: {sys.executable} -m pip install {missing}\n",
+        )
 
     def copy(path: Path, nb: Any) -> str:
         write(nb, options.output_dir / path.name)

@@ -5,10 +5,10 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-from statebook.regression.figures import MIME_TYPE
-from statebook.regression.summary import difference
-from statebook.regression.textdiff import text_difference
-from statebook.regression.tolerance import Tolerance
+from nbregress.figures import MIME_TYPE, rename_digest
+from nbregress.summary import difference
+from nbregress.textdiff import text_difference
+from nbregress.tolerance import Tolerance
 
 _WIDGET = "application/vnd.jupyter.widget-view+json"
 _PICTURES = ("image/png", "image/jpeg", "image/svg+xml", "application/pdf")
@@ -49,7 +49,10 @@ def outputs_differences(stored: list[Any], new: list[Any], tolerance: Tolerance)
             messages += _text(name, was, now, tolerance)
     messages += _errors(_of_type(stored, "error"), _of_type(new, "error"), tolerance)
     rich = ("display_data", "execute_result")
-    was_rich, now_rich = _of_type(stored, *rich), _of_type(new, *rich)
+    was_rich, now_rich = (
+        [rename_digest(output["data"]) for output in _of_type(outputs, *rich)]
+        for outputs in (stored, new)
+    )
     if len(was_rich) != len(now_rich):
         messages.append(
             f"{len(now_rich)} displayed outputs ({_kinds(now_rich)}), "
@@ -58,7 +61,7 @@ def outputs_differences(stored: list[Any], new: list[Any], tolerance: Tolerance)
         return messages
     for index, (a, b) in enumerate(zip(was_rich, now_rich, strict=True), start=1):
         name = f"output {index}" if len(was_rich) > 1 else "output"
-        messages += _bundle(name, a["data"], b["data"], tolerance)
+        messages += _bundle(name, a, b, tolerance)
     return messages
 
 
@@ -70,7 +73,7 @@ def figures_differences(
     Parameters
     ----------
     stored, new : dict
-        Results of `statebook.regression.figures.digest`.
+        Results of `nbregress.figures.digest`.
     tolerance : Tolerance
 
     Returns
@@ -152,7 +155,7 @@ def _bundle(name: str, old: dict[str, Any], new: dict[str, Any], tolerance: Tole
     if MIME_TYPE in was and MIME_TYPE not in now:
         return [
             f"{name}: a figure's data are stored, but none came; is "
-            "%load_ext statebook.regression still in the notebook?"
+            "%load_ext nbregress still in the notebook?"
         ]
     if MIME_TYPE in now and MIME_TYPE not in was:
         return [f"{name}: a figure's data came, but none are stored"]
@@ -198,8 +201,8 @@ def _of_type(outputs: list[Any], *kinds: str) -> list[Any]:
     return [output for output in outputs if output["output_type"] in kinds]
 
 
-def _kinds(outputs: list[Any]) -> str:
-    kinds = ["figure" if o["data"].keys() & {MIME_TYPE, *_PICTURES} else "text" for o in outputs]
+def _kinds(bundles: list[dict[str, Any]]) -> str:
+    kinds = ["figure" if bundle.keys() & {MIME_TYPE, *_PICTURES} else "text" for bundle in bundles]
     return ", ".join(kinds) or "none"
 
 
