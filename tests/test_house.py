@@ -7,10 +7,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-import house
 import jedi
 import pytest
 
+import house
 import statebook as sb
 
 ROOT = Path(__file__).parents[1]
