@@ -39,7 +39,7 @@ def test_offers_public_names_only():
 
 
 def test_the_notebook_regression_has_moved_out():
-    with pytest.raises(AttributeError, match=r"package nbregress.* pip install \S*lib/nbregress"):
+    with pytest.raises(AttributeError, match=r"package nbregress: .*pip install \S*lib/nbregress"):
         _ = sb.regression
     assert "regression" not in sb.__all__ and "regression" not in dir(sb)
     assert run("import sys, statebook.plotting; print('nbregress' in sys.modules)") == "False"
