@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import json
 import sys
 from dataclasses import dataclass
@@ -28,14 +27,6 @@ class Row:
     text: str
 
 
-@dataclass(frozen=True)
-class Claim:
-    """A check, or a passage of prose, that names rows."""
-
-    rows: tuple[str, ...]
-    relation: str | None  # None for prose
-
-
 def read_ledger(path: Path = WORKBOOK / "inventory.toml") -> dict[str, Row]:
     """Return the rows by their ids."""
     rows = tomllib.loads(path.read_text(encoding="utf-8"))["row"]
@@ -53,51 +44,67 @@ def read_notebook(path: Path) -> dict:
     return notebook
 
 
-def claims(notebook: dict) -> list[Claim]:
-    """Return every claim of a chapter; covers must be written as literals."""
-    found = []
+def prose_of(notebook: dict) -> set[str]:
+    """Return the rows that passages of prose name in their metadata."""
+    cells = (c for c in notebook["cells"] if c["cell_type"] == "markdown")
+    return {row for cell in cells for row in cell["metadata"].get("covers", ())}
+
+
+def checks_of(notebook: dict) -> dict[str, list[str]]:
+    """Return, of each row that code cells name in their metadata, the names of its checks."""
+    found: dict[str, list[str]] = {}
     for cell in notebook["cells"]:
-        if cell["cell_type"] == "markdown":
-            rows = tuple(cell["metadata"].get("covers", ()))
-            found += [Claim(rows, None)] if rows else []
-        elif cell["cell_type"] == "code":
-            found += [_claim(call) for call in _checks(cell["source"])]
+        if cell["cell_type"] == "code":
+            for row, names in cell["metadata"].get("covers", {}).items():
+                found.setdefault(row, []).extend(names)
     return found
 
 
-def _checks(source: str) -> list[ast.Call]:
-    code = "\n".join("" if line.startswith(("%", "!")) else line for line in source.splitlines())
-    calls = (node for node in ast.walk(ast.parse(code)) if isinstance(node, ast.Call))
-    return [c for c in calls if ast.unparse(c.func) in ("check", "sb.check")]
+def printed_checks(cell: dict) -> list[str]:
+    """Return the lines that a cell's checks have printed, without the word ok."""
+    texts = ("".join(o["text"]) for o in cell.get("outputs", ()) if o.get("name") == "stdout")
+    return [line[4:] for text in texts for line in text.splitlines() if line.startswith("ok  ")]
 
 
-def _claim(call: ast.Call) -> Claim:
-    arguments = {k.arg: k.value for k in call.keywords}
-    rows = ast.literal_eval(arguments["covers"]) if "covers" in arguments else ()
-    if not all(isinstance(row, str) for row in rows) or isinstance(rows, str):
-        raise ValueError(f"covers must be a tuple of strings: {ast.unparse(call)}")
-    relation = ast.literal_eval(arguments["relation"]) if "relation" in arguments else "=="
-    return Claim(tuple(rows), relation)
+def gaps(chapter: str, notebooks: list[dict], ledger: dict[str, Row]) -> list[str]:
+    """Return what is wrong with a chapter's coverage.
 
-
-def gaps(chapter: str, notebook: dict, ledger: dict[str, Row]) -> list[str]:
-    """Return what is wrong with a chapter's coverage; chapter is its two digits."""
-    found = claims(notebook)
-    named = {row for claim in found for row in claim.rows}
-    problems = [f"no row {row} in the ledger" for row in sorted(named - set(ledger))]
+    chapter is its two digits, notebooks are its core and, where there is one, its deeper part.
+    """
+    prose: set[str] = set().union(*(prose_of(notebook) for notebook in notebooks))
+    checks: dict[str, list[str]] = {}
+    problems = []
+    for notebook in notebooks:
+        for row, names in checks_of(notebook).items():
+            checks.setdefault(row, []).extend(names)
+        problems += unprinted(notebook)
+    problems += [
+        f"no row {row} in the ledger" for row in sorted((prose | set(checks)) - set(ledger))
+    ]
     for row in ledger.values():
         if chapter not in row.chapters or row.kind == "exercise":
             continue
-        relations = {claim.relation for claim in found if row.id in claim.rows}
-        if row.kind == "editorial":
-            covered = bool(relations)
-        elif row.id.startswith("E"):  # the printed form fails, the right one holds
-            covered = bool(relations & {"differs", ">"}) and bool(relations & {"==", "<"})
-        else:
-            covered = bool(relations - {None})
+        covered = row.id in checks or (row.kind == "editorial" and row.id in prose)
         if not covered:
             problems.append(f"row {row.id} ({row.kind}) is not covered: {row.text}")
+        elif row.id.startswith("E") and row.kind == "computed" and len(checks[row.id]) != 2:
+            problems.append(
+                f"row {row.id} must name two checks: one of the printed form, one of"
+                f" the right one; got {checks[row.id]}"
+            )
     return problems
+
+
+def unprinted(notebook: dict) -> list[str]:
+    """Return the checks that cells name for rows and have not printed."""
+    return [
+        f"the check {name!r} named for row {row} is not in its cell's output"
+        for cell in notebook["cells"]
+        if cell["cell_type"] == "code"
+        for row, names in cell["metadata"].get("covers", {}).items()
+        for name in names
+        if not any(line.startswith(f"{name}: ") for line in printed_checks(cell))
+    ]
 
 
 def faults(notebook: dict) -> list[str]:

@@ -1,11 +1,18 @@
-"""check asserts what it prints."""
+"""check prints what holds and what does not; summary raises."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from statebook import check
+from statebook import check, checking, summary
+
+
+@pytest.fixture(autouse=True)
+def nothing_recorded():
+    checking._claims.clear()
+    yield
+    checking._claims.clear()
 
 
 @pytest.mark.parametrize(
@@ -48,9 +55,12 @@ def test_claim_that_holds_prints_one_line(capsys, value, expected, relation, tol
         (np.inf, 1.0, "=="),
     ],
 )
-def test_claim_that_does_not_hold_raises(value, expected, relation):
-    with pytest.raises(AssertionError, match="does not hold"):
-        check("a", value, expected, relation=relation)
+def test_claim_that_does_not_hold_prints_it_and_goes_on(capsys, value, expected, relation):
+    check("a", value, expected, relation=relation)
+    line = capsys.readouterr().out
+    assert line.startswith("FAILED  a: ") and "does not hold" in line
+    with pytest.raises(AssertionError, match="1 of 1 checks failed:\n  a: "):
+        summary()
 
 
 @pytest.mark.parametrize(
@@ -59,19 +69,20 @@ def test_claim_that_does_not_hold_raises(value, expected, relation):
 def test_failure_of_a_large_array_names_its_worst_entry(relation, message):
     value = np.zeros((2, 4))
     value[1, 2] = 9.0
+    check("a", value, 0.0, relation=relation)
     with pytest.raises(AssertionError, match=message):
-        check("a", value, 0.0, relation=relation)
+        summary()
 
 
 @pytest.mark.parametrize(
     ("arguments", "options", "message"),
     [
-        ((np.nan, 1), {}, "must be finite"),
-        (([], 1), {}, "nothing to compare"),
-        ((None, 1), {}, "array of numbers"),
+        ((None, 1), {}, "must be about numbers, texts or truth values, got None"),
+        (([[1], [1, 2]], 1), {}, "ragged rows"),
+        ((1j, 1), {"relation": "<"}, "needs real numbers, got complex"),
+        ((1, 1 + 0j), {"relation": ">"}, "needs real numbers, got complex"),
         ((1, 1), {"relation": "<="}, "relation must be one of"),
         ((1, 1), {"rtol": -1}, "rtol must be at least 0"),
-        ((1, 1), {"covers": "12"}, "covers must be a sequence"),
         (("a", "b"), {"relation": "<"}, "< needs numbers"),
     ],
 )
@@ -80,6 +91,46 @@ def test_what_is_no_claim_is_refused(arguments, options, message):
         check("a", *arguments, **options)
 
 
-def test_rows_are_printed(capsys):
-    check("a", 1, 1, covers=("22", "E3"))
-    assert capsys.readouterr().out == "ok  a: 1 (rtol 1e-09)  [22, E3]\n"
+@pytest.mark.parametrize("relation", ["==", "differs", "<", ">"])
+@pytest.mark.parametrize(("value", "why"), [([1.0, np.nan], "NaN"), ([], "nothing to compare")])
+def test_what_is_no_result_never_holds(capsys, value, why, relation):
+    check("a", value, 1.0, relation=relation)
+    line = capsys.readouterr().out
+    assert line.startswith("FAILED  a: ") and why in line
+    check("b", 1.0, value, relation=relation)
+    assert capsys.readouterr().out.startswith("FAILED  b: ")
+
+
+def test_summary_counts_and_starts_anew(capsys):
+    check("a", 1, 1)
+    check("b", 2, 2)
+    capsys.readouterr()
+    summary()
+    assert capsys.readouterr().out == "All checks hold (2).\n"
+    summary()
+    assert capsys.readouterr().out == "All checks hold (0).\n"
+
+
+def test_summary_names_each_failure_and_no_other():
+    for name, value in (("a", 1), ("b", 2), ("c", 3)):
+        check(name, value, 2)
+    with pytest.raises(AssertionError, match="2 of 3 checks failed") as failure:
+        summary()
+    lines = [line.strip()[:2] for line in str(failure.value).splitlines()]
+    assert lines[1:] == ["a:", "c:"]
+
+
+def test_a_cell_that_runs_again_replaces_its_checks(monkeypatch):
+    run = iter([1, 1, 2])
+    monkeypatch.setattr(checking, "_run", lambda: next(run))
+    check("a", 1, 2)
+    check("a", 1, 2)  # in a loop: both count
+    assert len(checking.recorded()) == 2
+    check("a", 2, 2)
+    summary()
+
+
+def test_recorded_claims_keep_their_sides():
+    check("a", [1.0, 2.0], 3.0, relation="<", atol=0.5)
+    (claim,) = checking.recorded()
+    assert (claim.value, claim.expected, claim.relation, claim.atol) == ([1.0, 2.0], 3.0, "<", 0.5)

@@ -4,6 +4,7 @@ from . import controllers as controllers
 from . import plotting as plotting
 from .angles import wrap_angle as wrap_angle
 from .checking import check as check
+from .checking import summary as summary
 from .control_trajectory import ControlTrajectory as ControlTrajectory
 from .controllers.linear import LQR as LQR
 from .controllers.linear import PD as PD

@@ -1,0 +1,70 @@
+"""Run a notebook's cells here, keep its checks, and swap the two forms of an erratum.
+
+python tests/claims.py NOTEBOOK    print what is wrong, as a JSON list
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import sys
+from pathlib import Path
+
+from ledger import checks_of, read_notebook
+
+from statebook.checking import Claim, recorded, verdict_on
+
+
+def run(notebook: dict, folder: Path) -> list[Claim]:
+    """Run the code cells of a notebook in this process and return the claims of its checks."""
+    import matplotlib
+
+    matplotlib.use("agg")
+    from IPython.core.interactiveshell import InteractiveShell
+
+    shell = InteractiveShell.instance(colors="NoColor")
+    sys.path.insert(0, str(folder))
+    for number, cell in enumerate(notebook["cells"]):
+        if cell["cell_type"] != "code" or cell["source"].strip() == "sb.summary()":
+            continue
+        with contextlib.redirect_stdout(io.StringIO()) as printed:
+            result = shell.run_cell(cell["source"], store_history=True)
+        expected = "raises-exception" in cell["metadata"].get("tags", [])
+        if not result.success and not expected:
+            raise RuntimeError(f"cell {number} failed: {printed.getvalue()[-2000:]}")
+    return list(recorded())
+
+
+def swaps(notebook: dict, claims: list[Claim]) -> list[str]:
+    """Return what is wrong with the pairs of checks that stand for errata.
+
+    Of the two checks that a row names, one shows that the printed form fails, the other that the
+    right one holds. With the two forms exchanged both must fail.
+    """
+    problems = []
+    by_name = {claim.name: claim for claim in claims}
+    for row, names in checks_of(notebook).items():
+        if not row.startswith("E"):
+            continue
+        pair = [by_name[name] for name in names if name in by_name]
+        printed = [claim for claim in pair if claim.relation != "=="]
+        right = [claim for claim in pair if claim.relation == "=="]
+        if len(names) != 2 or len(printed) != 1 or len(right) != 1:
+            problems.append(f"{row}: needs one check of the printed form and one of the right one")
+            continue
+        for claim, other in ((printed[0], right[0]), (right[0], printed[0])):
+            try:
+                failure = verdict_on(claim, other.value)
+            except (TypeError, ValueError) as error:
+                problems.append(f"{row}: '{claim.name}' and '{other.name}' do not compare: {error}")
+            else:
+                if not failure:
+                    problems.append(f"{row}: '{claim.name}' holds for the other form as well")
+    return problems
+
+
+if __name__ == "__main__":
+    path = Path(sys.argv[1])
+    content = read_notebook(path)
+    print(json.dumps(swaps(content, run(content, path.parent))))
