@@ -11,8 +11,7 @@ import json
 import sys
 from pathlib import Path
 
-from ledger import checks_of, read_notebook
-
+from ledger import Row, checks_of, read_ledger, read_notebook
 from statebook.checking import Claim, recorded, verdict_on
 
 
@@ -36,7 +35,7 @@ def run(notebook: dict, folder: Path) -> list[Claim]:
     return list(recorded())
 
 
-def swaps(notebook: dict, claims: list[Claim]) -> list[str]:
+def swaps(notebook: dict, claims: list[Claim], ledger: dict[str, Row]) -> list[str]:
     """Return what is wrong with the pairs of checks that stand for errata.
 
     Of the two checks that a row names, one shows that the printed form fails, the other that the
@@ -45,7 +44,7 @@ def swaps(notebook: dict, claims: list[Claim]) -> list[str]:
     problems = []
     by_name = {claim.name: claim for claim in claims}
     for row, names in checks_of(notebook).items():
-        if not row.startswith("E"):
+        if not row.startswith("E") or ledger[row].kind == "editorial":
             continue
         pair = [by_name[name] for name in names if name in by_name]
         printed = [claim for claim in pair if claim.relation != "=="]
@@ -67,4 +66,4 @@ def swaps(notebook: dict, claims: list[Claim]) -> list[str]:
 if __name__ == "__main__":
     path = Path(sys.argv[1])
     content = read_notebook(path)
-    print(json.dumps(swaps(content, run(content, path.parent))))
+    print(json.dumps(swaps(content, run(content, path.parent), read_ledger())))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,7 @@ else:
 
 WORKBOOK = Path(__file__).parents[1] / "workbook"
 CHAPTERS = sorted(WORKBOOK.glob("[0-9][0-9]_*.ipynb"))
+NOTEBOOKS = sorted(p for p in WORKBOOK.rglob("*.ipynb") if ".ipynb_checkpoints" not in p.parts)
 LONGEST_CELL = 25
 
 
@@ -34,6 +36,12 @@ def read_ledger(path: Path = WORKBOOK / "inventory.toml") -> dict[str, Row]:
     if len(ledger) != len(rows):
         raise ValueError(f"{path.name}: an id occurs twice")
     return ledger
+
+
+def parts_of(chapter: Path) -> list[Path]:
+    """Return a chapter's core notebook and, where there is one, its deeper part."""
+    deeper = chapter.parent / "deeper" / chapter.name
+    return [chapter, *([deeper] if deeper.exists() else [])]
 
 
 def read_notebook(path: Path) -> dict:
@@ -116,7 +124,15 @@ def faults(notebook: dict) -> list[str]:
         problems.append(f"code cell {counts.index(None) + 1} was not executed")
     elif counts != list(range(1, len(code) + 1)):
         problems.append(f"execution counts are not 1 to {len(code)}: {counts}")
+    if not code or code[-1]["source"].strip() != "sb.summary()":
+        problems.append("the last code cell must be sb.summary()")
+    names = [{line.rpartition(": ")[0] for line in printed_checks(cell)} for cell in code]
+    for name in sorted(set().union(*names)):
+        if sum(name in found for found in names) > 1:
+            problems.append(f"two cells check {name!r}: names must tell checks apart")
     for number, cell in enumerate(code, start=1):
+        if re.search(r"\bcovers\s*=", cell["source"]):
+            problems.append(f"code cell {number} names rows of the ledger in its code")
         lines = len(cell["source"].splitlines())
         if lines > LONGEST_CELL:
             problems.append(f"code cell {number} has {lines} lines; at most {LONGEST_CELL}")
@@ -124,6 +140,9 @@ def faults(notebook: dict) -> list[str]:
         for output in cell["outputs"]:
             if output["output_type"] == "error" and not expected:
                 problems.append(f"code cell {number} holds an error: {output['ename']}")
+            failed = output.get("name") == "stdout" and "FAILED  " in "".join(output["text"])
+            if failed and "shows-failure" not in cell["metadata"].get("tags", []):
+                problems.append(f"code cell {number} holds a check that failed")
             if output.get("name") == "stderr":
                 problems.append(f"code cell {number} holds a warning: {''.join(output['text'])}")
     return problems

@@ -3,10 +3,27 @@
 from __future__ import annotations
 
 import copy
+import json
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
-from ledger import CHAPTERS, Row, claims, faults, gaps, read_ledger, read_notebook
+from claims import swaps
+from ledger import (
+    CHAPTERS,
+    NOTEBOOKS,
+    Row,
+    checks_of,
+    faults,
+    gaps,
+    parts_of,
+    read_ledger,
+    read_notebook,
+    unprinted,
+)
+from statebook.checking import Claim
 
 LEDGER = read_ledger()
 
@@ -22,24 +39,44 @@ def test_there_are_chapters():
 
 @pytest.mark.parametrize("path", CHAPTERS, ids=lambda path: path.stem)
 def test_chapter_covers_its_rows(path):
-    assert not gaps(path.stem[:2], read_notebook(path), LEDGER)
+    assert not gaps(path.stem[:2], [read_notebook(part) for part in parts_of(path)], LEDGER)
 
 
-@pytest.mark.parametrize("path", CHAPTERS, ids=lambda path: path.stem)
-def test_chapter_is_cleanly_executed(path):
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: "/".join(path.parts[-2:]))
+def test_notebook_is_cleanly_executed(path):
     assert not faults(read_notebook(path))
+
+
+with_errata = [
+    path
+    for path in NOTEBOOKS
+    if any(
+        row[0] == "E" and LEDGER[row].kind == "computed" for row in checks_of(read_notebook(path))
+    )
+]
+
+
+@pytest.mark.parametrize("path", with_errata, ids=lambda path: "/".join(path.parts[-2:]))
+def test_errata_fail_with_the_two_forms_exchanged(path):
+    script = Path(__file__).with_name("claims.py")
+    command = [sys.executable, str(script), str(path)]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert result.returncode == 0, result.stderr[-3000:]
+    assert json.loads(result.stdout.splitlines()[-1]) == []
 
 
 # ---- the tests above must be able to fail ----
 
 
-def code(source, count=1, **cell):
-    outputs = cell.pop("outputs", [])
+def code(source, count=1, *, printed=(), **metadata):
+    """A code cell whose checks printed these names."""
+    lines = "".join(f"ok  {name}: 1\n" for name in printed)
+    outputs = [{"output_type": "stream", "name": "stdout", "text": [lines]}] if lines else []
     return {
         "cell_type": "code",
         "source": source,
         "execution_count": count,
-        "metadata": cell,
+        "metadata": metadata,
         "outputs": outputs,
     }
 
@@ -60,16 +97,23 @@ SMALL = {
 }
 COMPLETE = notebook(
     prose("1"),
-    code('check("a", 1, 1, covers=("2",))'),
-    code('%load_ext x\ncheck("printed", 2, 1, relation="differs", covers=("E1",))', 2),
-    code('sb.check("right", 1, 1, covers=("E1",))', 3),
+    code("...", printed=["a", "b"], covers={"2": ["a"]}),
+    code("...", 2, printed=["printed"], covers={"E1": ["printed"]}),
+    code("...", 3, printed=["right"], covers={"E1": ["right"]}),
+    code("sb.summary()", 4),
 )
 
 
 def test_complete_chapter_passes():
-    assert gaps("00", COMPLETE, SMALL) == []
-    assert gaps("01", notebook(), SMALL) == []
+    assert gaps("00", [COMPLETE], SMALL) == []
+    assert gaps("01", [notebook()], SMALL) == []
     assert faults(COMPLETE) == []
+
+
+def test_rows_may_be_covered_in_the_deeper_part():
+    core, deeper = (notebook(*COMPLETE["cells"][i:j]) for i, j in ((0, 2), (2, 5)))
+    assert gaps("00", [core, deeper], SMALL) == []
+    assert len(gaps("00", [core], SMALL)) == 1
 
 
 @pytest.mark.parametrize(
@@ -77,37 +121,46 @@ def test_complete_chapter_passes():
 )
 def test_uncovered_row_is_found(dropped, row):
     cells = [cell for i, cell in enumerate(COMPLETE["cells"]) if i != dropped]
-    problems = gaps("00", notebook(*cells), SMALL)
+    problems = gaps("00", [notebook(*cells)], SMALL)
     assert len(problems) == 1 and problems[0].startswith(row)
 
 
 def test_prose_does_not_cover_a_computed_row():
     cells = [prose("1", "2"), *COMPLETE["cells"][2:]]
-    assert [p[:5] for p in gaps("00", notebook(*cells), SMALL)] == ["row 2"]
+    assert [p[:5] for p in gaps("00", [notebook(*cells)], SMALL)] == ["row 2"]
 
 
 def test_unknown_row_is_found():
-    extra = code('check("a", 1, 1, covers=("95",))')
-    assert gaps("00", notebook(*COMPLETE["cells"], extra), SMALL) == ["no row 95 in the ledger"]
+    extra = code("...", printed=["c"], covers={"95": ["c"]})
+    problems = gaps("00", [notebook(*COMPLETE["cells"], extra)], SMALL)
+    assert problems == ["no row 95 in the ledger"]
 
 
-@pytest.mark.parametrize("covers", ['"12"', "(1, 2)"])
-def test_covers_must_be_a_tuple_of_strings(covers):
-    with pytest.raises(ValueError, match="tuple of strings"):
-        claims(notebook(code(f'check("a", 1, 1, covers={covers})')))
+def test_a_check_that_was_not_printed_is_found():
+    cell = code("...", printed=["a b"], covers={"2": ["a"]})
+    assert unprinted(notebook(cell)) == [
+        "the check 'a' named for row 2 is not in its cell's output"
+    ]
+    cell["outputs"][0]["text"] = ["FAILED  a: 1 == 2 does not hold\n"]
+    assert len(unprinted(notebook(cell))) == 1
 
 
 @pytest.mark.parametrize(
     ("change", "problem"),
     [
         ({"execution_count": None}, "was not executed"),
-        ({"execution_count": 7}, "counts are not 1 to 3"),
+        ({"execution_count": 7}, "counts are not 1 to 4"),
         ({"source": "x = 1\n" * 26}, "26 lines"),
         ({"outputs": [{"output_type": "error", "ename": "KeyError"}]}, "holds an error"),
         (
             {"outputs": [{"output_type": "stream", "name": "stderr", "text": ["beware"]}]},
             "holds a warning: beware",
         ),
+        (
+            {"outputs": [{"output_type": "stream", "name": "stdout", "text": ["FAILED  a: 1"]}]},
+            "holds a check that failed",
+        ),
+        ({"source": "check('a', 1, 1, covers=('2',))"}, "names rows of the ledger in its code"),
     ],
 )
 def test_fault_is_found(change, problem):
@@ -116,6 +169,41 @@ def test_fault_is_found(change, problem):
     assert problem in faults(broken)[0]
 
 
+def test_a_notebook_without_a_summary_is_found():
+    assert "sb.summary()" in faults(notebook(*COMPLETE["cells"][:-1]))[0]
+
+
+def test_a_name_that_two_cells_check_is_found():
+    again = code("...", 4, printed=["a"])
+    cells = [*COMPLETE["cells"][:-1], again, code("sb.summary()", 5)]
+    assert faults(notebook(*cells)) == ["two cells check 'a': names must tell checks apart"]
+
+
 def test_expected_error_is_no_fault():
-    wanted = code("1 / 0", tags=["raises-exception"], outputs=[{"output_type": "error"}])
-    assert faults(notebook(wanted)) == []
+    wanted = code("1 / 0", tags=["raises-exception"])
+    wanted["outputs"] = [{"output_type": "error"}]
+    assert faults(notebook(wanted, code("sb.summary()", 2))) == []
+
+
+# ---- and so must the exchange of forms ----
+
+
+def claim(name, value, expected, relation):
+    tolerances = {"rtol": 1e-9, "atol": 0.0, "run": 0, "failure": ""}
+    return Claim(name=name, value=value, expected=expected, relation=relation, **tolerances)
+
+
+@pytest.mark.parametrize(
+    ("printed", "right", "problem"),
+    [
+        (claim("p", 2, 1, "differs"), claim("r", 1, 1, "=="), None),
+        (claim("p", 2, 1, "differs"), claim("r", 3, 3, "=="), "'p' holds for the other form"),
+        (claim("p", 2, 1.5, ">"), claim("r", [1, 2], [1, 2], "=="), None),
+        (claim("p", [2, 2], 1, ">"), claim("r", [1, 2, 3], [1, 2, 3], "=="), "do not compare"),
+        (claim("p", 1, 1, "=="), claim("r", 1, 1, "=="), "needs one check of the printed form"),
+    ],
+)
+def test_exchange_of_forms(printed, right, problem):
+    cells = notebook(code("...", printed=["p", "r"], covers={"E1": ["p", "r"]}))
+    problems = swaps(cells, [printed, right], SMALL)
+    assert (problems == []) if problem is None else problem in problems[0]

@@ -1,0 +1,1 @@
+"""Grading: exercises that answer back, and the copies that are handed out."""

@@ -1,0 +1,197 @@
+"""Grade an answer: right, or what is wrong with it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from statebook.grading.exercise import Exercise, Parameters, find_exercise, student_named
+from statebook.grading.sandbox import run_apart
+
+# A wrong number that is the right one times one of these comes from a slip of this kind.
+_FACTORS = {
+    "look at the sign": -1.0,
+    "you are off by a factor of two: is there a 1/2 too many?": 0.5,
+    "you are off by a factor of two: is there a 1/2 missing?": 2.0,
+    "degrees or radians?": np.pi / 180,
+    "degrees or radians? ": 180 / np.pi,
+    "the unit: it is a thousand times too large": 1e3,
+    "the unit: it is a thousand times too small": 1e-3,
+}
+
+
+@dataclass(frozen=True)
+class Grade:
+    """What came of grading an answer; true where the answer is right.
+
+    Attributes
+    ----------
+    id : str
+        The exercise.
+    right : bool
+    message : str
+        What is wrong with it, or that nothing is.
+    points : int
+    """
+
+    id: str
+    right: bool
+    message: str
+    points: int
+
+    def __bool__(self) -> bool:
+        return self.right
+
+    def __repr__(self) -> str:
+        return f"{self.id} {'right' if self.right else 'not yet'}: {self.message}"
+
+
+def grade(id: str, answer: Any, student: str | int) -> Grade:
+    """Grade an answer to an exercise, offline.
+
+    A function runs in a process of its own, for 30 seconds at most, so nothing that it does
+    disturbs the notebook. The checkers can be read, in ``statebook_exercises``: whoever wants to
+    cheat can, and learns something on the way.
+
+    Parameters
+    ----------
+    id : str
+        Chapter and number, as "07.2".
+    answer : object
+        A number, an array, a text or a function, as the exercise says.
+    student : str or int
+        Your name or number, as in `exercise`: it decides the parameters.
+
+    Returns
+    -------
+    Grade
+
+    Raises
+    ------
+    TypeError, ValueError
+        There is no such exercise, or student is empty.
+
+    Examples
+    --------
+    >>> L = __import__("statebook").exercise("07.2", "Ada").L
+    >>> grade("07.2", 2 * np.pi * (L / 9.8) ** 0.5, "Ada")
+    07.2 right: yes (1 of 1 points)
+    >>> grade("07.2", None, "Ada")
+    07.2 not yet: there is no answer yet: replace None
+    """
+    task = find_exercise(id)
+    p = task.parameters(student_named(student))
+    try:
+        trouble = _trouble(task, answer, p, student)
+    except Exception as error:  # whatever an answer is, the student gets a sentence
+        trouble = f"this answer could not be read ({type(error).__name__}: {error})"
+    points = 0 if trouble else task.points
+    message = trouble or f"yes ({points} of {task.points} points)"
+    return Grade(id, not trouble, message, points)
+
+
+def _trouble(task: Exercise, answer: Any, p: Parameters, student: str | int) -> str:
+    if answer is None or answer is ...:
+        return f"there is no answer yet: replace {answer!r}"
+    wanted = task.solution(p)
+    if callable(wanted) and not callable(answer):
+        return f"the answer must be a function, got {_kind(answer)}"
+    if callable(answer) and not callable(wanted):
+        return f"the answer must be {_kind(wanted)}, got a function: call it"
+    if task.judge is not None:
+        return run_apart(_judged, task.id, student, answer)
+    if callable(wanted):
+        return run_apart(_compared, task.id, student, answer)
+    return compare(answer, wanted, task, lambda slip: slip(p))
+
+
+def _judged(id: str, student: str | int, answer: Any) -> str:
+    task = find_exercise(id)
+    assert task.judge is not None
+    return task.judge(answer, task.parameters(student))
+
+
+def _compared(id: str, student: str | int, answer: Callable[..., Any]) -> str:
+    """Compare a function with the solution at the exercise's inputs."""
+    task = find_exercise(id)
+    p = task.parameters(student)
+    assert task.inputs is not None
+    points = task.inputs(p, task.rng(student))
+    solution = task.solution(p)
+    wanted = [np.asarray(solution(*point), dtype=float) for point in points]
+    found = []
+    for point in points:
+        arguments = [np.copy(a) if isinstance(a, np.ndarray) else a for a in point]
+        state = ", ".join(np.array2string(np.asarray(a), precision=4) for a in point)
+        try:
+            value = answer(*arguments)
+        except Exception as error:
+            return f"your function raised {type(error).__name__} at ({state}): {error}"
+        if any(not np.array_equal(a, b) for a, b in zip(point, arguments, strict=True)):
+            return "your function changes its argument; work on a copy"
+        if value is None:
+            return f"your function returns None at ({state}); does it end in return?"
+        shape = np.shape(wanted[0])
+        if np.shape(value) != shape:
+            return f"your function must return shape {shape}, got {np.shape(value)} at ({state})"
+        found.append(value)
+
+    def slipped(slip: Callable[[Parameters], Any]) -> Any:
+        wrong = slip(p)
+        return np.stack([np.asarray(wrong(*point), dtype=float) for point in points])
+
+    return compare(np.stack(found), np.stack(wanted), task, slipped)
+
+
+def compare(
+    answer: Any, wanted: Any, task: Exercise, slipped: Callable[[Callable[..., Any]], Any]
+) -> str:
+    """Return what is wrong with an answer of numbers or a text, or nothing."""
+    if isinstance(wanted, str):
+        if not isinstance(answer, str):
+            return f"the answer must be a text, got {_kind(answer)}"
+        same = answer.strip().casefold()
+        if same == wanted.casefold():
+            return ""
+        hints = [s.hint for s in task.slips if slipped(s.answer).casefold() == same]
+        return hints[0] if hints else "that is not it"
+    value, wanted = np.asarray(answer), np.asarray(wanted, dtype=float)
+    if value.dtype.kind not in "biuf":
+        return f"the answer must be {_kind(wanted)}, got {_kind(answer)}"
+    if value.shape != wanted.shape:
+        turned = wanted.ndim == 2 and value.shape == wanted.shape[::-1]
+        also = "; is it transposed?" if turned else ""
+        return f"the answer must have shape {wanted.shape}, got {value.shape}{also}"
+    if not np.isfinite(value).all():
+        return "the answer must be finite"
+    if _close(value, wanted, task.rtol):
+        return ""
+    for slip in task.slips:
+        if _close(value, np.asarray(slipped(slip.answer), dtype=float), task.rtol):
+            return slip.hint
+    if wanted.ndim == 2 and wanted.shape == wanted.T.shape and _close(value.T, wanted, task.rtol):
+        return "is it transposed?"
+    for hint, factor in _FACTORS.items():
+        if _close(value, factor * wanted, task.rtol):
+            return hint.strip()
+    if _close(np.abs(value), np.abs(wanted), task.rtol):
+        return "look at the signs"
+    return "that is not it"
+
+
+def _close(value: np.ndarray, wanted: np.ndarray, rtol: float) -> bool:
+    return value.shape == wanted.shape and bool(
+        np.all(np.abs(value - wanted) <= rtol * np.abs(wanted).max(initial=0.0))
+    )
+
+
+def _kind(value: Any) -> str:
+    if isinstance(value, str):
+        return "a text"
+    shape = np.shape(value) if not isinstance(value, dict | set) else None
+    if shape is None or np.asarray(value).dtype.kind not in "biufc":
+        return f"a {type(value).__name__}"
+    return "a number" if shape == () else f"an array of shape {shape}"
