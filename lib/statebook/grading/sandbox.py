@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -47,7 +48,12 @@ def run_apart(check: Callable[..., str], *arguments: Any) -> str:
         )
     try:
         child = subprocess.run(
-            [sys.executable, "-c", _CHILD], input=packed, capture_output=True, timeout=TIMEOUT
+            [sys.executable, "-c", _CHILD],
+            input=packed,
+            capture_output=True,
+            timeout=TIMEOUT,
+            # A function from a file beside the notebook is found there too.
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
         )
     except subprocess.TimeoutExpired:
         return f"your answer was not done after {TIMEOUT:g} s: is there a loop without an end?"

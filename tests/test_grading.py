@@ -1,0 +1,280 @@
+"""Answers are judged with a reason; nothing that a student hands in breaks the judge."""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import statebook as sb
+from statebook.grading import sandbox
+from statebook.grading.exercise import LEVELS, Exercise, Slip
+from statebook.grading.grade import compare
+from statebook.grading.students import hand_out, main, without_solutions
+
+WORKBOOK = Path(__file__).parents[1] / "workbook"
+SOLVED = sorted((WORKBOOK / "exercises").glob("*.ipynb"))
+
+
+def all_exercises() -> list[Exercise]:
+    import importlib
+
+    import statebook_exercises
+
+    folder = Path(statebook_exercises.__path__[0])
+    modules = [f"statebook_exercises.{path.stem}" for path in sorted(folder.glob("ch*.py"))]
+    return [task for module in modules for task in importlib.import_module(module).EXERCISES]
+
+
+EXERCISES = all_exercises()
+
+# Wrong answers where many are right, with a word of the hint that fits.
+WRONG = {
+    "07.5": [
+        (lambda p: (0.9 * p.m * 9.8 * p.L, 1.0), "no more than m g L"),
+        (lambda p: (6.0 * p.m * 9.8 * p.L, 1.0), "the motor's limit"),
+        (lambda p: (2.6 * p.m * 9.8 * p.L, 0.0), "overshoots"),
+        (lambda p: (1.1 * p.m * 9.8 * p.L, 1.0), "still"),
+        (lambda p: (2.6 * p.m * 9.8 * p.L, -0.5), "the swing grows"),
+        (lambda p: 3.0, "two numbers"),
+    ],
+    "07.6": [
+        (lambda p: lambda x, t: 0.0, "Which sign of the torque adds energy"),
+        (lambda p: lambda x, t: -p.limit if x[1] >= 0 else p.limit, "Which sign"),
+        (lambda p: lambda x, t: 2 * p.limit, "and the limit is"),
+        (lambda p: lambda x, t: 1 / 0, "ZeroDivisionError"),
+    ],
+}
+
+
+@pytest.mark.parametrize("task", EXERCISES, ids=lambda task: task.id)
+def test_exercise_is_told_right_from_wrong(task):
+    p = task.parameters("Ada")
+    assert task.level in LEVELS and 0 < task.minutes <= 60 and task.title
+    result = sb.grade(task.id, task.solution(p), "Ada")
+    assert result and result.points == task.points
+    unsolved = sb.grade(task.id, None, "Ada")
+    assert not unsolved and unsolved.points == 0 and "no answer yet" in unsolved.message
+    wrong = [(slip.answer, re.escape(slip.hint)) for slip in task.slips] + WRONG.get(task.id, [])
+    assert len(wrong) >= 3
+    for answer, hint in wrong:
+        result = sb.grade(task.id, answer(p), "Ada")
+        assert not result.right
+        assert re.search(hint, result.message), result
+
+
+@pytest.mark.parametrize("task", EXERCISES, ids=lambda task: task.id)
+def test_two_students_have_two_pendulums(task):
+    ada, bob = (vars(task.parameters(name)) for name in ("Ada", "Bob"))
+    assert ada.keys() == bob.keys() and ada != bob
+    assert vars(task.parameters(" ada ")) == ada
+
+
+def test_ids_are_unique_and_named_after_their_chapter():
+    ids = [task.id for task in EXERCISES]
+    assert len(set(ids)) == len(ids)
+    assert all(re.fullmatch(r"\d\d\.\d+", id) for id in ids)
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "words"),
+    [
+        (lambda: sb.exercise("07.99", "Ada"), ValueError, "has the exercises 07.1, 07.2"),
+        (lambda: sb.exercise("98.1", "Ada"), ValueError, "must name an exercise"),
+        (lambda: sb.exercise("../x", "Ada"), ValueError, "must name an exercise"),
+        (lambda: sb.exercise(7.2, "Ada"), TypeError, "must be a text"),
+        (lambda: sb.exercise("07.2", ""), TypeError, "your name or number"),
+        (lambda: sb.grade("07.2", 1.0, None), TypeError, "your name or number"),
+    ],
+)
+def test_bad_input(call, error, words):
+    with pytest.raises(error, match=words):
+        call()
+
+
+# ---- numbers ----
+
+
+def verdict(answer, wanted, slips=()):
+    task = Exercise("00.0", "t", "compute", 1, dict, lambda p: wanted, tuple(slips), rtol=1e-3)
+    return compare(answer, wanted, task, lambda slip: slip(None))
+
+
+@pytest.mark.parametrize(
+    ("answer", "wanted", "words"),
+    [
+        (2.0005, 2.0, ""),
+        (np.float32(2.0), 2.0, ""),
+        (2.1, 2.0, "that is not it"),
+        (-2.0, 2.0, "sign"),
+        (4.0, 2.0, "1/2 missing"),
+        (1.0, 2.0, "1/2 too many"),
+        (np.degrees(2.0), 2.0, "degrees or radians"),
+        (np.radians(2.0), 2.0, "degrees or radians"),
+        (2000.0, 2.0, "thousand times too large"),
+        ([2.0], 2.0, "must have shape"),
+        ("2", 2.0, "must be a number, got a text"),
+        (2 + 1j, 2.0, "must be a number"),
+        (np.nan, 2.0, "must be finite"),
+        ({}, 2.0, "got a dict"),
+        ([[1, 3], [2, 4]], [[1, 2], [3, 4]], "transposed"),
+        ([[1, 4], [2, 5], [3, 6]], [[1, 2, 3], [4, 5, 6]], "is it transposed"),
+        ([1.0, -2.0], [1.0, 2.0], "signs"),
+        ([1.0, 2.0, 3.0], [1.0, 2.0], "shape"),
+        (" Stable ", "stable", ""),
+        ("unstable", "stable", "that is not it"),
+        (1.0, "stable", "must be a text, got a number"),
+    ],
+)
+def test_comparison(answer, wanted, words):
+    message = verdict(answer, wanted)
+    assert words in message if words else message == ""
+
+
+def test_a_slip_has_its_own_hint_before_the_general_ones():
+    slip = Slip("where is the half?", lambda p: 4.0)
+    assert verdict(4.0, 2.0, [slip]) == "where is the half?"
+
+
+# ---- functions ----
+
+
+def right(theta, omega, u):
+    p = sb.exercise("07.3", "Ada")
+    return (u - p.m * 9.8 * p.L * np.cos(theta) - p.b * omega) / (p.m * p.L**2)
+
+
+def raises(theta, omega, u):
+    raise KeyError("lost")
+
+
+def pair(theta, omega, u):
+    return [1.0, 2.0]
+
+
+def test_functions_are_judged():
+    assert sb.grade("07.3", right, "Ada")
+    assert "raised KeyError" in sb.grade("07.3", raises, "Ada").message
+    assert "must return shape ()" in sb.grade("07.3", pair, "Ada").message
+    assert "returns None" in sb.grade("07.3", lambda *a: None, "Ada").message
+    assert "must be a function, got a number" in sb.grade("07.3", 3.0, "Ada").message
+    assert "call it" in sb.grade("07.2", right, "Ada").message
+
+
+def test_a_function_that_changes_its_argument_is_told():
+    def energy(x):
+        x *= 2
+        return 0.0
+
+    assert "changes its argument" in sb.grade("07.4", energy, "Ada").message
+
+
+def test_a_loop_without_end_is_ended(monkeypatch):
+    monkeypatch.setattr(sandbox, "TIMEOUT", 1.0)
+
+    def forever(theta, omega, u):
+        while True:
+            pass
+
+    start = time.monotonic()
+    assert "loop without an end" in sb.grade("07.3", forever, "Ada").message
+    assert time.monotonic() - start < 20
+
+
+def test_a_process_that_ends_itself_is_explained():
+    def leave(theta, omega, u):
+        import os
+
+        os._exit(3)
+
+    assert "ended its process" in sb.grade("07.3", leave, "Ada").message
+
+
+def test_what_cannot_travel_is_explained(tmp_path):
+    with (tmp_path / "file").open("w") as file:
+        result = sb.grade("07.3", lambda theta, omega, u: file.tell(), "Ada")
+    assert "process of its own" in result.message
+
+
+def test_what_a_function_prints_does_not_disturb(capfd):
+    def loud(theta, omega, u):
+        print("x" * 1000)
+        return right(theta, omega, u)
+
+    assert sb.grade("07.3", loud, "Ada")
+    assert capfd.readouterr().out == ""
+
+
+# ---- copies for students ----
+
+
+def cell(source, kind="code", **metadata):
+    base = {"cell_type": kind, "source": source, "metadata": metadata}
+    return base | (
+        {"outputs": [{"text": "secret"}], "execution_count": 1} if kind == "code" else {}
+    )
+
+
+def test_solutions_go_with_all_that_belongs_to_them():
+    picture = cell("why", "markdown", tags=["solution"]) | {"attachments": {"a.png": {}}}
+    marked = cell(
+        "x = 0\n### BEGIN SOLUTION\nx = 1\n### END SOLUTION\nprint(x)", covers={"1": ["a"]}
+    )
+    copy = without_solutions({"cells": [cell("task", "markdown"), picture, marked]})
+    assert [c["source"] for c in copy["cells"]] == ["task", "x = 0\nprint(x)"]
+    text = json.dumps(copy)
+    assert not re.search("secret|why|a.png|SOLUTION|covers", text)
+
+
+def test_a_mark_without_its_partner_is_refused():
+    with pytest.raises(ValueError, match="must have pairs"):
+        without_solutions({"cells": [cell("### BEGIN SOLUTION\nx = 1")]})
+
+
+def test_hand_out_holds_no_solution(tmp_path):
+    written = hand_out(WORKBOOK, tmp_path / "course")
+    exercises = [path for path in written if path.parent.name == "exercises"]
+    assert len(exercises) == len(SOLVED) > 0
+    assert (tmp_path / "course" / "07_pendulum.ipynb") in written
+    for path, solved in zip(exercises, SOLVED, strict=True):
+        text = path.read_text(encoding="utf-8")
+        assert "SOLUTION" not in text and "solution" not in text.replace('"solution": ', "")
+        for c in json.loads(solved.read_text(encoding="utf-8"))["cells"]:
+            if "solution" in c["metadata"].get("tags", []):
+                lines = [line.strip() for line in "".join(c["source"]).splitlines()]
+                longest = max(lines, key=len)
+                assert json.dumps(longest, ensure_ascii=False)[1:-1] not in text
+    assert [p.name for p in tmp_path.iterdir()] == ["course"]
+
+
+@pytest.mark.parametrize("path", SOLVED, ids=lambda path: path.stem)
+def test_the_copy_runs_and_every_answer_is_still_open(path):
+    copy = without_solutions(json.loads(path.read_text(encoding="utf-8")))
+    space: dict = {}
+    results = []
+    for c in copy["cells"]:
+        if c["cell_type"] == "code":
+            source = c["source"].replace('me = ""', 'me = "Ada"')
+            exec(compile(source, path.name, "exec"), space)
+            if "sb.grade" in source:
+                results.append(space["result"])
+    ids = [task.id for task in EXERCISES if task.id[:2] == path.stem[:2]]
+    assert [result.id for result in results] == ids
+    assert not any(results)
+
+
+def test_students_work_is_not_overwritten(tmp_path, capsys):
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(ValueError, match="must be new or empty"):
+        hand_out(WORKBOOK, tmp_path)
+    with pytest.raises(ValueError, match="must not lie in"):
+        hand_out(WORKBOOK, WORKBOOK / "course")
+    with pytest.raises(ValueError, match="must hold the workbook's notebooks"):
+        hand_out(tmp_path, tmp_path.parent / "course")
+    with pytest.raises(SystemExit, match=r"students: .* must be new or empty"):
+        main([str(tmp_path), "--workbook", str(WORKBOOK)])
+    assert (tmp_path / "notes.txt").read_text() == "mine"
