@@ -6,6 +6,7 @@
     python3 run.py test --matrix            test the chapters on every Python that is here
     python3 run.py lab                      open JupyterLab in workbook/
     python3 run.py refresh [chapter files]  execute committed chapters again, in place
+    python3 run.py students DIR             write the hand-out: chapters, exercises without solutions
 
 Standard library only, in syntax that older Pythons parse, so that they can be turned away.
 """
@@ -25,7 +26,7 @@ ROOT = Path(__file__).resolve().parent
 NBREGRESS = Path("lib", "nbregress")  # a package of its own, below ROOT
 VENV = ROOT / ".venv"
 BUILD = ROOT / "_build"
-CHAPTERS = "[0-9][0-9]_*.ipynb"
+CHAPTERS = "**/[0-9][0-9]_*.ipynb"
 WORKERS = str(min(4, os.cpu_count() or 1))
 
 # What pip prints, and the sentence that tells a reader what to do about it.
@@ -245,15 +246,20 @@ def book(arguments):
     for folder in (source, html):
         shutil.rmtree(str(folder), ignore_errors=True)
     shutil.copytree(str(ROOT / "book"), str(source))
-    execute = ["-m", "nbregress", "execute", "--jobs", WORKERS, "--output-dir"]
     files, left_out = notebooks(CHAPTERS)
-    command = [*execute, str(source / "chapters"), *files]
-    code, log = watch(command, BUILD / "execute.log", bar("executing"))
-    if code:
-        lines = [line for line in log.splitlines() if "FAILED" in line] or log.splitlines()[-9:]
-        fail("a chapter failed, so no site was built\n" + "\n".join(lines))
+    for folder in sorted({str(Path(name).parent) for name in files}):
+        target = source / "chapters" / Path(folder).relative_to("workbook")
+        options = ["--jobs", WORKERS, "--output-dir", str(target)]
+        here = [name for name in files if str(Path(name).parent) == folder]
+        command = ["-m", "nbregress", "execute", *options, *here]
+        code, log = watch(command, BUILD / "execute.log", bar("executing " + folder))
+        if code:
+            lines = [line for line in log.splitlines() if "FAILED" in line] or log.splitlines()[-9:]
+            fail("a chapter failed, so no site was built\n" + "\n".join(lines))
     for name in left_out:
-        shutil.copy(str(ROOT / name), str(source / "chapters"))
+        target = source / "chapters" / Path(name).relative_to("workbook")
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(str(ROOT / name), str(target))
     command = ["-m", "sphinx", "-d", str(BUILD / "doctrees"), *arguments, str(source), str(html)]
     code, log = watch(command, BUILD / "sphinx.log", bar("building"))
     if code:
@@ -285,9 +291,17 @@ def refresh(arguments):
     return run(["-m", "nbregress", "refresh", "--jobs", WORKERS, *files])
 
 
+def students(arguments):
+    """Write chapters and exercises, without their solutions, into a new folder."""
+    if len(arguments) != 1:
+        fail("students takes one folder, which must be new: python3 run.py students DIR")
+    folder = str(Path(arguments[0]).resolve())
+    return run(["-m", "statebook.grading.students", folder])
+
+
 def main(arguments):
     """Do the job that the first argument names and return the exit code."""
-    jobs = {"book": book, "test": test, "lab": lab, "refresh": refresh}
+    jobs = {"book": book, "test": test, "lab": lab, "refresh": refresh, "students": students}
     if not arguments or arguments[0] not in jobs:
         print(__doc__)
         return 2
