@@ -17,7 +17,7 @@ html_title = "statebook"
 language = "en"
 
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax"]
-exclude_patterns = ["chapters/.ipynb_checkpoints"]
+exclude_patterns = ["**/.ipynb_checkpoints"]
 
 # Chapters arrive executed: `run.py book` puts them into chapters/ beside a copy of this file.
 nb_execution_mode = "off"

@@ -228,7 +228,7 @@ def test_chapters_that_need_toppra_are_skipped_by_name(run, capsys):
     assert capsys.readouterr().out.endswith(": " + ", ".join(left_out) + "\n")
     (run.site_packages() / "toppra").mkdir(parents=True)
     runs, left_out = run.notebooks(run.CHAPTERS)
-    assert (len(runs), left_out, capsys.readouterr().out) == (5, [], "")
+    assert (len(runs), left_out, capsys.readouterr().out) == (6, [], "")
 
 
 def test_pytest_gets_the_arguments_and_the_skipped_chapters(run, monkeypatch):
@@ -275,6 +275,7 @@ def test_environment_keeps_figures_and_one_thread(run, monkeypatch):
 
 def test_failing_chapter_is_named_and_no_site_is_built(run, monkeypatch):
     (run.ROOT / "book").mkdir()
+    notebook(run.ROOT / "workbook" / "01_b.ipynb", "wrong")
     failed = "[2/2] workbook/01_b.ipynb 1.0 s: FAILED In [3] (cell 5 of 9): ValueError: wrong"
     monkeypatch.setattr(
         run, "watch", lambda *_: (1, f"[1/2] workbook/00_a.ipynb 1 s: executed\n{failed}\n")
@@ -304,6 +305,31 @@ def test_chapter_that_cannot_run_appears_as_committed(run, monkeypatch):
     assert commands[0][-1] == "workbook/15_by_hand.ipynb"
     shown = run.BUILD / "source" / "chapters"
     assert [path.name for path in shown.iterdir()] == ["16_optimal.ipynb"]
+
+
+def test_each_folder_of_notebooks_keeps_its_place_on_the_site(run, monkeypatch):
+    (run.ROOT / "book").mkdir()
+    for place in ("15_a", "deeper/15_a", "exercises/15_a"):
+        notebook(run.ROOT / "workbook" / f"{place}.ipynb", "1 + 1")
+    commands = []
+    monkeypatch.setattr(run, "watch", lambda command, *_: (commands.append(command), (0, ""))[1])
+    assert run.book([]) == 0
+    chapters = run.BUILD / "source" / "chapters"
+    places = [
+        (command[command.index("--output-dir") + 1], command[-1]) for command in commands[:-1]
+    ]
+    assert places == [
+        (str(chapters / folder), f"workbook/{folder}15_a.ipynb")
+        for folder in ("", "deeper/", "exercises/")
+    ]
+
+
+def test_students_takes_one_folder(run, monkeypatch, tmp_path):
+    monkeypatch.setattr(run, "run", lambda arguments: arguments)
+    assert run.main(["students", str(tmp_path / "a")])[-1] == str((tmp_path / "a").resolve())
+    for arguments in ([], ["a", "b"]):
+        with pytest.raises(SystemExit, match="students takes one folder"):
+            run.main(["students", *arguments])
 
 
 def test_matrix_needs_no_venv_and_gets_its_arguments(run, monkeypatch):
