@@ -6,7 +6,7 @@
     python3 run.py test --matrix            test the chapters on every Python that is here
     python3 run.py lab                      open JupyterLab in workbook/
     python3 run.py refresh [chapter files]  execute committed chapters again, in place
-    python3 run.py students DIR             write the hand-out: chapters, exercises without solutions
+    python3 run.py students DIR             write the hand-out, without solutions
 
 Standard library only, in syntax that older Pythons parse, so that they can be turned away.
 """
