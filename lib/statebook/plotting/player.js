@@ -13,6 +13,10 @@
   const place = data.start.slice();
   const controls = document.createElement("div");
   controls.className = "sb-controls";
+  // JupyterLab takes keys for its shortcuts as they pass the document: keep those of the sliders.
+  window.addEventListener("keydown", (event) => {
+    if (controls.contains(event.target)) event.stopPropagation();
+  }, true);
 
   function show() {
     let number = 0;
