@@ -46,7 +46,8 @@ def check(
     AssertionError
         The claim does not hold.
     TypeError, ValueError
-        An argument is no claim: an unknown relation, NaN, an empty array.
+        An argument is no claim: an unknown relation, NaN, an empty array, an order of complex
+        numbers.
 
     Examples
     --------
@@ -65,6 +66,11 @@ def check(
     else:
         value, expected = _numbers(name, value), _numbers(name, expected)
         agree = bool(np.all(np.isclose(value, expected, rtol=rtol, atol=atol)))
+    if relation in "<>" and (np.iscomplexobj(value) or np.iscomplexobj(expected)):
+        raise TypeError(
+            f"{name}: {relation} needs real numbers, got complex ones, which have no order;"
+            " compare their real parts or sizes"
+        )
     if relation in "<>":
         holds = bool(np.all(value < expected if relation == "<" else value > expected))
     else:
