@@ -136,7 +136,10 @@ def _judged(
     else:
         value, expected = _numbers(name, value), _numbers(name, expected)
         if relation in "<>" and (np.iscomplexobj(value) or np.iscomplexobj(expected)):
-            raise TypeError(f"{name}: {relation} needs real numbers, got complex ones")
+            raise TypeError(
+                f"{name}: {relation} needs real numbers, got complex ones, which have no order;"
+                " compare their real parts or sizes"
+            )
         if value.size == 0 or expected.size == 0:
             return "there is nothing to compare, got an empty array", ""
         if np.isnan(value).any() or np.isnan(expected).any():
