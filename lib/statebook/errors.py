@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import numpy as np
@@ -48,6 +49,11 @@ class DivergenceError(RuntimeError):
         self.state = state
         self.trajectory = trajectory
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # The way of BaseException, the message alone, would not survive a pool of processes.
+        rebuild = partial(type(self), time=self.time, state=self.state)
+        return rebuild, self.args, self.__dict__
+
 
 class InfeasiblePathError(ValueError):
     """No timing of the path satisfies the limits.
@@ -64,3 +70,6 @@ class InfeasiblePathError(ValueError):
         super().__init__(message)
         self.constraint = constraint
         self.s = s
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return partial(type(self), constraint=self.constraint, s=self.s), self.args, self.__dict__

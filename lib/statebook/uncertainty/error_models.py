@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import fields, is_dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -46,15 +47,11 @@ def with_disturbance(system: Any, G: Any = None) -> System:
     array([1. , 1.5])
     """
     system = as_system(system)
-    n, m = system.n, system.m
+    n = system.n
     G = np.eye(n) if G is None else _validate.real_array("G", G, (n, None))
 
-    def rate(x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
-        push = G @ u[m:]
-        return system.dynamics(x, u[:m], t) + (push[:, None] if x.ndim > push.ndim else push)
-
     return System(
-        rate=rate,
+        rate=partial(_pushed, system, G),
         states=system.states,
         inputs=(*system.inputs, *(f"w[{i}]" for i in range(G.shape[1]))),
         dt=system.dt,
@@ -101,11 +98,7 @@ def with_actuation_error(policy: Policy, noise: HeldNoise, *, gain: Any = 1.0) -
         raise ValueError(f"gain must be a number or have shape ({m}, {m}), got {gain.shape}")
     gain = gain * np.eye(m) if gain.ndim == 0 else gain
 
-    def acting(x: np.ndarray, t: float) -> np.ndarray:
-        number = _batch("with_actuation_error", x)
-        return gain @ control_of(policy, x, t, m) + noise(t, number)
-
-    return acting
+    return partial(_acting, policy, noise, gain)
 
 
 def with_measurement_error(policy: Policy, noise: HeldNoise) -> Policy:
@@ -135,16 +128,7 @@ def with_measurement_error(policy: Policy, noise: HeldNoise) -> Policy:
     """
     noise = _noise("noise", noise)
 
-    def misled(x: np.ndarray, t: float) -> Any:
-        number = _batch("with_measurement_error", x)
-        if len(x) != noise.size:
-            raise ValueError(
-                f"noise must have the size of the state, {len(x)}, got {noise.size}: "
-                "a state that is seen exactly has a covariance of 0"
-            )
-        return policy(x + noise(t, number), t)
-
-    return misled
+    return partial(_misled, policy, noise)
 
 
 def with_parameters(model: Any, names: Sequence[str]) -> System:
@@ -183,19 +167,8 @@ def with_parameters(model: Any, names: Sequence[str]) -> System:
     for name in names:
         _validate.choice("names", name, known)
     system = as_system(model)
-    n = system.n
-
-    def rate(x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
-        values = dict(zip(names, x[n:], strict=True))
-        # The smallest values meet the model's own checks, then each becomes the array of a batch.
-        lowest = {name: float(np.min(np.real(value))) for name, value in values.items()}
-        variant: Any = replace(model, **lowest)
-        for name, value in values.items():
-            object.__setattr__(variant, name, value)
-        return np.concatenate([variant.dynamics(x[:n], u), 0 * x[n:]])
-
     return System(
-        rate=rate,
+        rate=partial(_with_values, model, tuple(names)),
         states=(*system.states, *names),
         inputs=system.inputs,
         name=f"{system.name} with parameters",
@@ -203,11 +176,50 @@ def with_parameters(model: Any, names: Sequence[str]) -> System:
     )
 
 
-def control_of(policy: Any, x: np.ndarray, t: float, m: int) -> np.ndarray:
+# Of modules rather than closures, so that what is made of them pickles.
+
+
+def _pushed(system: System, G: np.ndarray, x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
+    m = system.m
+    push = G @ u[m:]
+    return system.dynamics(x, u[:m], t) + (push[:, None] if x.ndim > push.ndim else push)
+
+
+def _acting(
+    policy: Policy, noise: HeldNoise, gain: np.ndarray, x: np.ndarray, t: float
+) -> np.ndarray:
+    number = _batch("with_actuation_error", x)
+    return gain @ control_of(policy, x, t, noise.size) + noise(t, number)
+
+
+def _misled(policy: Policy, noise: HeldNoise, x: np.ndarray, t: float) -> Any:
+    number = _batch("with_measurement_error", x)
+    if len(x) != noise.size:
+        raise ValueError(
+            f"noise must have the size of the state, {len(x)}, got {noise.size}: "
+            "a state that is seen exactly has a covariance of 0"
+        )
+    return policy(x + noise(t, number), t)
+
+
+def _with_values(
+    model: Any, names: tuple[str, ...], x: np.ndarray, u: np.ndarray, t: float
+) -> np.ndarray:
+    n = len(x) - len(names)
+    values = dict(zip(names, x[n:], strict=True))
+    # The smallest values meet the model's own checks, then each becomes the array of a batch.
+    lowest = {name: float(np.min(np.real(value))) for name, value in values.items()}
+    variant: Any = replace(model, **lowest)
+    for name, value in values.items():
+        object.__setattr__(variant, name, value)
+    return np.concatenate([variant.dynamics(x[:n], u), 0 * x[n:]])
+
+
+def control_of(policy: Any, x: np.ndarray, t: float, m: int, name: str = "policy") -> np.ndarray:
     """Return a policy's, plan's or constant's controls for a batch (n, N), as (m, N)."""
     if isinstance(policy, ControlTrajectory):
         policy = policy(t)
-    value = _validate.real_array("policy(x, t)", policy(x, t) if callable(policy) else policy)
+    value = _validate.real_array(f"{name}(x, t)", policy(x, t) if callable(policy) else policy)
     number = x.shape[1]
     if m == 1 and value.shape in ((), (number,)):
         value = value[None]
@@ -215,7 +227,7 @@ def control_of(policy: Any, x: np.ndarray, t: float, m: int) -> np.ndarray:
         value = value[:, None]
     if value.shape not in ((m, 1), (m, number)):
         raise ValueError(
-            f"policy(x, t) must have shape ({m},) or ({m}, {number}), got {value.shape}"
+            f"{name}(x, t) must have shape ({m},) or ({m}, {number}), got {value.shape}"
         )
     return np.broadcast_to(value, (m, number))
 

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 
 from statebook import _validate
-from statebook.simulation import simulate_clocked
-from statebook.systems import as_system
+from statebook.control_trajectory import ControlTrajectory
+from statebook.simulation import simulate, simulate_clocked
+from statebook.systems import System, as_system
 from statebook.trajectory import Trajectory
 from statebook.uncertainty.error_models import control_of, with_disturbance
 from statebook.uncertainty.noise import HeldNoise
@@ -26,6 +27,8 @@ def monte_carlo(
     G: Any = None,
     samples: int = 1,
     method: str = "RK45",
+    rtol: float = 1e-8,
+    atol: float = 1e-10,
 ) -> Trajectory:
     """Simulate many trajectories under independent errors.
 
@@ -34,8 +37,9 @@ def monte_carlo(
 
     Parameters
     ----------
-    system : library model, System, control.NonlinearIOSystem or StateSpace
-        In discrete time the period is its sample time.
+    system : system
+        Whatever as_system takes, with or without inputs. In discrete time the period is its
+        sample time.
     x0 : array, shape (n,) or (n, N)
         One initial state for all, or one a trajectory.
     policy : callable, array (m,) or ControlTrajectory, optional
@@ -56,6 +60,8 @@ def monte_carlo(
         Stored samples a period.
     method : str
         As in simulate; "rk4" and "euler" make one step a sample.
+    rtol, atol : float > 0
+        As in simulate.
 
     Returns
     -------
@@ -81,15 +87,21 @@ def monte_carlo(
     >>> sb.consistency(run.states[:1, :, -1], 0.5 * 3.0**3 / 3 / 2.0**2) > 1e-8
     True
     """
-    system = as_system(system)
     number = _validate.integer("number", number, 1)
     period = _validate.positive("period", period)
+    duration = _validate.positive("duration", duration)
+    samples = _validate.integer("samples", samples, 1)
     x0 = _validate.real_array("x0", x0)
-    if x0.shape not in ((system.n,), (system.n, number)):
+    if x0.ndim not in (1, 2) or (x0.ndim == 2 and x0.shape[1] != number):
+        raise ValueError(f"x0 must have shape (n,) or (n, {number}), got {x0.shape}")
+    start = x0.copy() if x0.ndim == 2 else np.repeat(x0[:, None], number, axis=1)
+    system = _viewed(system, start, policy)
+    if len(start) != system.n:
         raise ValueError(
             f"x0 must have shape ({system.n},) or ({system.n}, {number}), got {x0.shape}"
         )
-    start = x0.copy() if x0.ndim == 2 else np.repeat(x0[:, None], number, axis=1)
+    if policy is not None and not system.m:
+        raise ValueError(f"policy must be left out: {system.name} has no inputs")
     m = system.m
     if disturbance is None:
         if G is not None:
@@ -106,19 +118,39 @@ def monte_carlo(
         if disturbance is None:
             return u
         held = isinstance(disturbance, HeldNoise)
-        w = disturbance(t, number) if held else control_of(disturbance, x, t, q)
+        w = disturbance(t, number) if held else control_of(disturbance, x, t, q, "disturbance")
         return np.concatenate([u, w])
 
-    run = simulate_clocked(
-        disturbed, start, inputs, period=period, duration=duration, samples=samples, method=method
-    )
+    options = {"method": method, "rtol": rtol, "atol": atol}
+    if disturbed.m:
+        run = simulate_clocked(
+            disturbed, start, inputs, period=period, duration=duration, samples=samples, **options
+        )
+        controls, labels = run.controls, disturbed.inputs
+    else:  # nothing to hold: the ticks are samples alone
+        ticks = int(np.ceil(duration / period * (1 - 1e-12)))
+        times = np.arange(ticks * samples + 1) * (period / samples)
+        run = simulate(disturbed, start, times=times, **options)
+        controls, labels = None, None
     return Trajectory(
-        run.times,
-        run.states,
-        run.controls if disturbed.m else None,
-        state_labels=disturbed.states,
-        input_labels=disturbed.inputs if disturbed.m else None,
+        run.times, run.states, controls, state_labels=disturbed.states, input_labels=labels
     )
+
+
+def _viewed(system: Any, start: np.ndarray, policy: Any) -> System:
+    """Return the system; of a plain function, the states and the policy tell n and m."""
+    x, u = start[:, 0], None
+    if isinstance(policy, ControlTrajectory):
+        u = np.zeros(policy.m)
+    elif policy is not None:
+        value = np.asarray(policy(start, 0.0) if callable(policy) else policy)
+        # One number a trajectory is a single input.
+        single = value.ndim == 0 or (callable(policy) and value.shape == start.shape[1:])
+        u = np.zeros(1 if single else len(value))
+    try:
+        return as_system(system, x, u)
+    except (TypeError, ValueError) as error:  # in the words of monte_carlo
+        raise type(error)(str(error).replace("u0", "policy")) from error
 
 
 def _check_noise(noise: HeldNoise, period: float, q: int) -> None:

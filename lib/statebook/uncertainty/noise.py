@@ -6,11 +6,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import scipy
 
 from statebook import _validate
 
-_ROUNDING = 1e-10  # relative to the largest entry or eigenvalue
+_ROUNDING = 1e-10  # of a correlation
+# Of exp(A h) with |A| h < 1/2, these leave less than rounding.
+_SHORT = 0.5
+_NODES = 8  # of Gauss-Legendre quadrature: exact up to degree 15
+_TERMS = 18  # of the series
 
 
 def covariance_matrix(name: str, value: Any, size: int | None = None) -> np.ndarray:
@@ -45,25 +48,36 @@ def covariance_matrix(name: str, value: Any, size: int | None = None) -> np.ndar
     if matrix.shape != (n, n) or n == 0:
         wanted = "(n, n)" if size is None else f"({n}, {n})"
         raise ValueError(f"{name} must be a covariance of shape {wanted}, got {matrix.shape}")
-    if np.abs(matrix - matrix.T).max() > _ROUNDING * np.abs(matrix).max():
+    # In units of the standard deviations: a small variance beside a large one counts as much.
+    variances = np.diag(matrix)
+    scale = np.sqrt(np.where(variances > 0, variances, np.abs(matrix).max() or 1.0))
+    correlation = matrix / scale[:, None] / scale
+    if np.abs(correlation - correlation.T).max() > _ROUNDING:
         raise ValueError(
             f"{name} must be symmetric, got {matrix.tolist()}; "
             "if rounding made it so, pass (P + P.T) / 2"
         )
     matrix = (matrix + matrix.T) / 2
-    eigenvalues = np.linalg.eigvalsh(matrix)
-    if eigenvalues[0] < -_ROUNDING * np.abs(eigenvalues).max():
+    if variances.min() < -4 * np.finfo(float).eps * np.abs(matrix).max():
         raise ValueError(
             f"{name} must be positive semidefinite: a variance cannot be negative, "
-            f"got the eigenvalue {eigenvalues[0]:.4g}"
+            f"got {variances.min():.4g}"
         )
+    lowest = np.linalg.eigvalsh((correlation + correlation.T) / 2)[0]
+    if lowest < -n * _ROUNDING:
+        raise ValueError(
+            f"{name} must be positive semidefinite: a correlation cannot exceed 1, "
+            f"got the eigenvalue {lowest:.4g} of the correlations"
+        )
+    np.fill_diagonal(matrix, np.maximum(variances, 0.0))
     return matrix
 
 
 def square_root(matrix: np.ndarray) -> np.ndarray:
-    """Return the symmetric root S of a covariance, S S = matrix; it may be singular.
+    """Return a root S of a covariance, S S' = matrix; it may be singular.
 
-    Unlike a factor made of eigenvectors, it has no sign that could differ between machines.
+    S = D C, with the standard deviations D and C the symmetric root of the correlations: unlike
+    factors made of eigenvectors, it has no sign that could differ between machines.
 
     Parameters
     ----------
@@ -78,16 +92,18 @@ def square_root(matrix: np.ndarray) -> np.ndarray:
     >>> square_root(np.array([[4.0, 0.0], [0.0, 0.0]])).tolist()
     [[2.0, 0.0], [0.0, 0.0]]
     """
-    values, vectors = np.linalg.eigh(matrix)
-    values = np.where(values > _ROUNDING * values[-1], values, 0.0)
-    return (vectors * np.sqrt(values)) @ vectors.T
+    deviations = np.sqrt(np.diag(matrix))
+    scale = np.where(deviations > 0, deviations, 1.0)
+    values, vectors = np.linalg.eigh(matrix / scale[:, None] / scale)
+    values = np.where(values > _ROUNDING, values, 0.0)
+    return deviations[:, None] * ((vectors * np.sqrt(values)) @ vectors.T)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class HeldNoise:
     """Gaussian noise that is held for a period, as a signal of time.
 
-    w(t) = bias + S z_k for k period <= t < (k + 1) period, with S S = covariance and every z_k
+    w(t) = bias + S z_k for k period <= t < (k + 1) period, with S S' = covariance and every z_k
     standard normal, independent of the others. The noise of trajectory j in period k depends
     on the seed, k and j alone: not on how many trajectories there are, or in which order times
     are asked for.
@@ -198,7 +214,7 @@ class HeldNoise:
         generator = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(tick,)))
         count = 1 if number is None else _validate.integer("number", number, 1)
         # One row a trajectory: more of them leave the first ones as they are.
-        values = generator.standard_normal((count, self.size)) @ self._root + self.bias
+        values = generator.standard_normal((count, self.size)) @ self._root.T + self.bias
         return values[0] if number is None else values.T
 
     def __repr__(self) -> str:
@@ -227,8 +243,8 @@ def _seed(seed: Any) -> int:
 def discretize_noise(A: Any, G: Any, intensity: Any, dt: float) -> np.ndarray:
     """Covariance that white noise adds in one sample of x' = A x + G w.
 
-    Qd = integral of exp(A s) G Q G' exp(A' s) over 0..dt, Q the intensity of w: exact, and for
-    any dt.
+    Qd = integral of exp(A s) G Q G' exp(A' s) over 0..dt, Q the intensity of w: exact for any dt,
+    stiff systems too, and positive semidefinite as it is formed as a square.
 
     Parameters
     ----------
@@ -245,11 +261,20 @@ def discretize_noise(A: Any, G: Any, intensity: Any, dt: float) -> np.ndarray:
     Raises
     ------
     TypeError, ValueError
-        A shape is wrong, or the intensity is no covariance.
+        A shape is wrong, the intensity is no covariance, or an unstable system grows beyond
+        the largest number within dt.
+
+    Notes
+    -----
+    A root of the covariance of a short time, from Gauss-Legendre quadrature, is doubled:
+    Qd(2 h) = Qd(h) + F Qd(h) F' with F = exp(A h), kept as F - I so that slow modes beside fast
+    ones lose nothing. One exponential of (-A, G Q G'; 0, A'), as often printed, holds exp(-A dt)
+    and loses all digits of a stable stiff system.
 
     References
     ----------
-    Van Loan, IEEE Trans. Automatic Control 23 (1978) 395 (integrals from one exponential).
+    Van Loan, IEEE Trans. Automatic Control 23 (1978) 395 (integrals with exponentials, and their
+    doubling).
 
     Examples
     --------
@@ -261,7 +286,34 @@ def discretize_noise(A: Any, G: Any, intensity: Any, dt: float) -> np.ndarray:
     A = _validate.real_array("A", A, (n, n))
     G = _validate.real_array("G", G, (n, None))
     Q = covariance_matrix("intensity", intensity, G.shape[1])
-    block = np.block([[-A, G @ Q @ G.T], [np.zeros((n, n)), A.T]])
-    E = scipy.linalg.expm(block * _validate.positive("dt", dt))
-    Qd = E[n:, n:].T @ E[:n, n:]
+    dt = _validate.positive("dt", dt)
+    # By logarithms, as the product may overflow; |A| <= n max |A_ij|.
+    size = np.log2(np.abs(A).max(initial=0.0) or 1e-300) + np.log2(n / _SHORT) + np.log2(dt)
+    doublings = max(0, int(np.ceil(size)))
+    h = np.ldexp(dt, -doublings)
+    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+    G = G @ square_root(Q)
+    with np.errstate(all="ignore"):
+        at_nodes = [G + _growth(A * (h * (1 + node) / 2)) @ G for node in nodes]
+        root = np.hstack([F * np.sqrt(h * w / 2) for F, w in zip(at_nodes, weights, strict=True)])
+        D = _growth(A * h)
+        # Loop invariant: root root' is the covariance of a time h 2^k, D = exp(A h 2^k) - I.
+        for _ in range(doublings):
+            root = np.hstack([root + D @ root, root])
+            if not np.isfinite(root).all():
+                break
+            root = np.linalg.qr(root.T, mode="r").T
+            D = 2 * D + D @ D
+        Qd = root @ root.T
+    if not np.isfinite(Qd).all():
+        raise ValueError(f"dt must be shorter: after {dt:g} s the covariance overflows")
     return (Qd + Qd.T) / 2
+
+
+def _growth(M: np.ndarray) -> np.ndarray:
+    """Return exp(M) - I for a small M, each entry to its own precision."""
+    term = total = M
+    for k in range(2, _TERMS):
+        term = term @ M / k
+        total = total + term
+    return total
