@@ -8,8 +8,8 @@ from .checking import summary as summary
 from .control_trajectory import ControlTrajectory as ControlTrajectory
 from .controllers.linear import LQR as LQR
 from .controllers.linear import PD as PD
-from .controllers.linear import PID as PID
 from .controllers.open_loop import bang_bang as bang_bang
+from .controllers.pid import PID as PID
 from .controllers.swing_up import CartPoleSwingUp as CartPoleSwingUp
 from .controllers.swing_up import SwingUp as SwingUp
 from .controllers.swing_up import cart_force as cart_force

@@ -148,3 +148,34 @@ def is_discrete(dt: float | bool | None) -> bool:
     if dt is None or dt is True:
         return dt is True
     return non_negative("dt", dt) > 0
+
+
+_ROUNDING = 1e-10  # of an entry, once the diagonal is scaled to 1
+
+
+def semidefinite(name: str, matrix: np.ndarray) -> np.ndarray:
+    """Return a real square array as an exactly symmetric, positive semidefinite one.
+
+    Judged with the diagonal scaled to 1: a small entry beside a large one counts as much.
+    """
+    diagonal, largest = np.diag(matrix), float(np.abs(matrix).max(initial=0.0))
+    if diagonal.min(initial=0.0) < -4 * np.finfo(float).eps * largest:
+        raise ValueError(
+            f"{name} must be positive semidefinite, got {diagonal.min():.4g} on its diagonal"
+        )
+    scale = np.sqrt(np.where(diagonal > 0, diagonal, largest or 1.0))
+    scaled = matrix / scale[:, None] / scale
+    if np.abs(scaled - scaled.T).max(initial=0.0) > _ROUNDING:
+        raise ValueError(
+            f"{name} must be symmetric, got {matrix.tolist()}; "
+            "if rounding made it so, pass (P + P.T) / 2"
+        )
+    lowest = np.linalg.eigvalsh((scaled + scaled.T) / 2).min(initial=0.0)
+    if lowest < -len(matrix) * _ROUNDING:
+        raise ValueError(
+            f"{name} must be positive semidefinite, got {matrix.tolist()}: with its diagonal "
+            f"scaled to 1 it has the eigenvalue {lowest:.4g}"
+        )
+    result = (matrix + matrix.T) / 2
+    np.fill_diagonal(result, np.maximum(diagonal, 0.0))
+    return result

@@ -1,4 +1,4 @@
-"""Linear feedback: PD, PID and LQR."""
+"""Linear feedback of the state: PD and LQR."""
 
 from __future__ import annotations
 
@@ -7,12 +7,14 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+import scipy
 
 from statebook import _validate
 from statebook.angles import wrap_angle
 from statebook.equilibrium import find_equilibrium
 from statebook.linearization import linearize
 from statebook.systems import System, as_system
+from statebook.verdict.report import format_complex
 from statebook.verdict.stability import stability
 
 
@@ -26,12 +28,163 @@ def columns(values: np.ndarray, like: np.ndarray) -> np.ndarray:
     return values if like.ndim == 1 else values[:, None]
 
 
-@dataclass(frozen=True)
-class LQR:
+def state_of(x: Any, n: int) -> np.ndarray:
+    """Return a state (n,) or a batch (n, N) as an array; it need not be finite."""
+    x = np.asarray(x)
+    if x.dtype.kind not in "biufc" or x.ndim not in (1, 2) or len(x) != n:
+        raise ValueError(f"x must be numbers of shape ({n},) or ({n}, N), got {x!r}")
+    return x
+
+
+def rows_of(name: str, wanted: Any, labels: Sequence[str]) -> np.ndarray:
+    """Return the matrix C of C x, from labels of states or from C itself."""
+    if isinstance(wanted, str) or np.ndim(wanted) == 0:
+        raise TypeError(f"{name} must be a sequence of labels; write {name}=[{wanted!r}]")
+    if not all(isinstance(label, str) for label in wanted):
+        return _validate.real_array(name, wanted, (None, len(labels)))
+    absent = [label for label in wanted if label not in labels]
+    if absent:
+        raise ValueError(f"{name} must hold labels among {tuple(labels)}, got {absent[0]!r}")
+    return np.eye(len(labels))[[labels.index(label) for label in wanted]]
+
+
+def unwound(error: np.ndarray, u: np.ndarray, Ki: np.ndarray, limit: float | None) -> np.ndarray:
+    """Return the rate of the integrals z of u = ... - Ki z, with those at a limit held.
+
+    While an input is at its limit, integrals that push it on are held (anti-windup by
+    conditional integration).
+    """
+    if limit is None:
+        return error
+    winding = (np.abs(u) >= limit) & ((u * -(Ki @ error)).real > 0)
+    return np.where((Ki != 0).T @ winding, 0.0, error)
+
+
+def require_stable(loop: System, x0: np.ndarray, gains: str) -> None:
+    """Refuse a loop that is not asymptotically stable."""
+    report = stability(loop, x0)
+    if report.verdict != "asymptotically stable":
+        raise ValueError(f"{gains} do not stabilize the target: {report.reason}")
+
+
+def require_holding(limit: float | None, u0: np.ndarray, what: str) -> None:
+    """Refuse a limit that leaves nothing beside the control that holds a place."""
+    largest = np.abs(u0).max(initial=0.0)
+    if limit is not None and limit <= largest:
+        rest = ", which leaves nothing to correct with" if limit == largest else ""
+        raise ValueError(
+            f"limit must be at least {largest:.4g} to hold {what}, got {limit:g}{rest}"
+        )
+
+
+def weight(name: str, value: Any, size: int, *, definite: bool = False) -> np.ndarray:
+    """Return a weight (size, size) from a matrix, its diagonal, or one number for all."""
+    matrix = _validate.real_array(name, 1.0 if value is None else value)
+    if matrix.ndim == 0 or matrix.shape == (size,):
+        matrix = np.diag(np.broadcast_to(matrix, (size,)))
+    if matrix.shape != (size, size):
+        raise ValueError(
+            f"{name} must have shape ({size}, {size}), be its diagonal of shape ({size},) or a"
+            f" number, got {matrix.shape}"
+        )
+    if definite:
+        scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+        scaled = matrix / scale[:, None] / scale
+        if np.linalg.eigvalsh((scaled + scaled.T) / 2).min() <= 1e-14:
+            raise ValueError(f"{name} must be positive definite, got {matrix.tolist()}")
+    return _validate.semidefinite(name, matrix)
+
+
+class Portable:
+    """A controller that pickles, although a control.StateSpace does not."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        import control
+
+        state = {name: value for name, value in vars(self).items() if name != "_plant"}
+        sys = state["system"]
+        if isinstance(sys, control.StateSpace):
+            matrices = [np.asarray(M) for M in (sys.A, sys.B, sys.C, sys.D)]
+            labels = sys.state_labels, sys.input_labels, sys.output_labels
+            state["system"] = None
+            state["_parts"] = matrices, sys.dt, dict(zip(_LABELS, labels, strict=True)), sys.name
+        return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        import control
+
+        if "_parts" in state:
+            matrices, dt, labels, name = state.pop("_parts")
+            state["system"] = control.ss(*matrices, dt, **labels, name=name)
+        vars(self).update(state)
+
+
+_LABELS = ("states", "inputs", "outputs")
+_NEAR = 1e-4  # of the boundary, relative to A: rounding blurs repeated eigenvalues by so much
+
+
+def unmoved(A: np.ndarray, B: np.ndarray, discrete: bool) -> list[complex]:
+    """Eigenvalues of A on the stability boundary or beyond that no B u moves.
+
+    A Popov-Belevitch-Hautus test; on the boundary it asks the boundary point, which rounding
+    does not blur.
+    """
+    values = np.linalg.eigvals(A)
+    norm = np.linalg.norm(np.hstack([A, B]))
+    if discrete:
+        beyond, edge = np.abs(values) - 1, values / np.where(values == 0, 1, np.abs(values))
+        corners = [1.0, -1.0]
+    else:
+        beyond, edge, corners = values.real, 1j * values.imag, [0.0]
+    near = np.abs(beyond) <= _NEAR * norm
+    candidates = [(z, 1e-12) for z in (*corners, *edge[near])]
+    candidates += [(z, 1e-8) for z in values[~near & (beyond > 0)]]
+
+    def stays(value: complex, tolerance: float) -> bool:
+        pencil = np.hstack([value * np.eye(len(A)) - A, B])
+        return bool(np.linalg.svd(pencil, compute_uv=False)[-1] <= tolerance * norm)
+
+    return [complex(value) for value, tolerance in candidates if stays(value, tolerance)]
+
+
+def gain_of(
+    name: str, A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray, dt: Any
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return K and S of the regulator, or raise why there is none that stabilizes."""
+    import control
+
+    discrete = _validate.is_discrete(dt)
+    lost = unmoved(A, B, discrete)
+    if lost:
+        mode = format_complex(lost[0], 1.0)
+        raise ValueError(f"no gain stabilizes {name} at x0: no input moves its mode {mode}")
+    # In units of their own, so that a small weight is not taken for none.
+    unseen = unmoved(A.T, Q / (np.abs(Q).max() or 1.0), discrete)
+    solve = control.dlqr if discrete else control.lqr
+    try:
+        K, S, _ = map(np.asarray, solve(A, B, Q, R))
+        report = stability(A - B @ K, dt=dt)
+        stable, reason = report.verdict == "asymptotically stable", report.reason
+    except (ValueError, np.linalg.LinAlgError, control.ControlArgument) as error:
+        stable, reason = False, str(error)
+    on_edge = [z for z in unseen if abs(abs(z) - 1 if discrete else z.real) == 0]
+    if on_edge or (not stable and unseen):
+        mode = format_complex((on_edge or unseen)[0], 1.0)
+        raise ValueError(
+            f"Q must see what does not decay by itself, or the gain leaves it alone: it does not"
+            f" see the mode {mode} of {name}"
+        )
+    if not stable:
+        raise ValueError(f"no gain stabilizes {name} at x0: {reason}")
+    return K, S
+
+
+@dataclass(frozen=True, eq=False)
+class LQR(Portable):
     """Linear-quadratic regulator at an equilibrium.
 
     u = u0 - K (x - x0), clipped to the limit, with the K that minimizes the integral (in
-    discrete time the sum) of dx' Q dx + du' R du.
+    discrete time the sum) of dx' Q dx + du' R du among those that stabilize.
 
     Parameters
     ----------
@@ -39,39 +192,57 @@ class LQR:
         Whatever as_system takes.
     x0, u0 : array, shape (n,) and (m,)
         The equilibrium; u0 None is zeros.
-    Q, R : array, shape (n, n) and (m, m)
-        Symmetric weights, Q positive semidefinite, R positive definite.
+    Q, R : number, or array of shape (n,) or (n, n), and (m,) or (m, m)
+        Symmetric weights, or their diagonals, or one number for all; 1 if omitted. Q is
+        positive semidefinite and sees every mode that does not decay, R positive definite.
     limit : float > 0, optional
-        Largest magnitude of each input.
+        Largest magnitude of each input; more than what holds the equilibrium.
     circle : sequence of str
         Labels of states that are angles: their error is the short way round.
+    tracked : sequence of str, or array C of shape (p, n), optional
+        Labels of states, or the combinations C x, that follow the reference.
+    reference : number, array (p,) or function of time, optional
+        r of C x; C x0 if omitted. The law then acts about x0 + Nx dr, u0 + Nu dr, which hold
+        dr = r - C x0 in the linearized system.
+    integral : number, or array of shape (p,) or (p, p), optional
+        Weight of the integrals of C x - r, which remove what disturbances and the nonlinear
+        remainder leave. Their memory z with z' = C x - r (in discrete time z_next = z + C x - r)
+        is a state: the law takes (x, z), and loop is what to simulate.
 
     Attributes
     ----------
-    K : array, shape (m, n)
-    S : array, shape (n, n)
+    K : array, shape (m, n), or (m, n + p) with integrals
+    S : array, shape (n, n), or (n + p, n + p)
         The cost to go is dx' S dx.
     wrapped : list of int
         Indices of the states in circle.
     level : float
         Below this cost to go no input reaches its limit; inf without a limit.
+    loop : System
+        The closed loop, with the states x, or (x, z); its inputs are disturbances that add to
+        the control. While an input is at its limit, no integral grows further into it.
 
     Raises
     ------
     NotAnEquilibriumError
         As linearize.
     TypeError, ValueError
-        No gain stabilizes, or an argument has the wrong type or shape.
+        No gain stabilizes, a weight is indefinite or does not see a mode, no state holds the
+        reference, or an argument has the wrong type or shape.
 
     References
     ----------
-    K. J. Astrom and R. M. Murray, Feedback Systems, 2nd ed., section 7.5.
+    K. J. Astrom and R. M. Murray, Feedback Systems, 2nd ed., sections 7.4 and 7.5.
 
     Examples
     --------
     >>> import statebook as sb
-    >>> LQR(sb.Particle(), [0, 0], Q=np.diag([1.0, 0.0]), R=[[1.0]]).K.round(6)
+    >>> LQR(sb.Particle(), [0, 0], Q=[1.0, 0.0], R=1.0).K.round(6)
     array([[1.      , 1.414214]])
+    >>> servo = LQR(sb.Particle(), [0, 0], tracked=["p"], reference=2.0, integral=1.0)
+    >>> run = sb.simulate(servo.loop, [0, 0, 0], [0.5], duration=30.0)  # a push of 0.5 N
+    >>> run.states[0, -1].round(6)
+    np.float64(2.0)
     """
 
     system: Any
@@ -81,50 +252,101 @@ class LQR:
     R: Any = None
     limit: float | None = None
     circle: Sequence[str] = ()
+    tracked: Any = field(default=None, kw_only=True)
+    reference: Any = field(default=None, kw_only=True)
+    integral: Any = field(default=None, kw_only=True)
     K: np.ndarray = field(init=False)
     S: np.ndarray = field(init=False, repr=False)
     wrapped: list[int] = field(init=False, repr=False)
+    C: np.ndarray = field(init=False, repr=False)
+    feedforward: np.ndarray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        import control
-
         system = as_system(self.system, self.x0, self.u0)
         n, m = system.n, system.m
-        limit = None if self.limit is None else _validate.positive("limit", self.limit)
-        weights = [
-            np.eye(size) if weight is None else _validate.real_array(name, weight, (size, size))
-            for name, weight, size in (("Q", self.Q, n), ("R", self.R, m))
-        ]
-        absent = [label for label in self.circle if label not in system.states]
-        if absent:
-            raise ValueError(f"circle must hold labels among {system.states}, got {absent[0]!r}")
-        sys = linearize(system, self.x0, self.u0)
-        solve = control.dlqr if system.discrete else control.lqr
-        try:
-            K, S, _ = solve(sys, *weights)
-        except (ValueError, np.linalg.LinAlgError, control.ControlArgument) as error:
-            raise ValueError(f"no gain stabilizes {system.name} at x0: {error}") from error
+        if not m:
+            raise ValueError(f"system must have inputs, got {system.name} without")
+        x0 = _validate.real_array("x0", self.x0, (n,))
         u0 = np.zeros(m) if self.u0 is None else _validate.real_array("u0", self.u0, (m,))
+        limit = None if self.limit is None else _validate.positive("limit", self.limit)
+        circle = np.flatnonzero(rows_of("circle", self.circle, system.states).any(axis=0))
+        Q, R = weight("Q", self.Q, n), weight("R", self.R, m, definite=True)
+        require_holding(limit, u0, "x0")
+        if self.tracked is None and not (self.reference is None and self.integral is None):
+            raise ValueError("tracked is required with reference or integral: label what follows")
+        tracked = () if self.tracked is None else self.tracked
+        C = rows_of("tracked", tracked, system.states)
+        sys = linearize(system, x0, u0)
+        A, B = np.asarray(sys.A), np.asarray(sys.B)
+        feedforward = np.zeros((n + m, len(C)))
+        if self.reference is not None:
+            feedforward = self._feedforward(A - system.discrete * np.eye(n), B, C)
+        if self.integral is not None:
+            p = len(C)
+            memory = np.eye(p) if system.discrete else np.zeros((p, p))
+            A = np.block([[A, np.zeros((n, p))], [C, memory]])
+            B = np.concatenate([B, np.zeros((p, m))])
+            Q = scipy.linalg.block_diag(Q, weight("integral", self.integral, p))
+        K, S = gain_of(system.name, A, B, Q, R, system.dt)
         for name, value in {
-            "x0": _validate.real_array("x0", self.x0, (n,)),
+            "x0": x0,
             "u0": u0,
             "limit": limit,
-            "K": np.asarray(K),
-            "S": np.asarray(S),
-            "wrapped": [system.states.index(label) for label in self.circle],
+            "K": K,
+            "S": S,
+            "wrapped": circle.tolist(),
+            "C": C,
+            "feedforward": feedforward,
         }.items():
             object.__setattr__(self, name, value)
+        self.target(0.0)  # reports what is wrong with the reference
 
-    def error(self, x: Any) -> np.ndarray:
-        """Return x - x0 with angles the short way round, shape (n,) or (n, N)."""
-        x = np.asarray(x)
-        error = x - columns(self.x0, x)
-        error[self.wrapped] = wrap_angle(error[self.wrapped])
+    def _feedforward(self, A: np.ndarray, B: np.ndarray, C: np.ndarray) -> np.ndarray:
+        """Return (Nx, Nu) with A Nx + B Nu = 0 and C Nx = I."""
+        n, p = len(A), len(C)
+        M = np.block([[A, B], [C, np.zeros((p, B.shape[1]))]])
+        wanted = np.concatenate([np.zeros((n, p)), np.eye(p)])
+        N = np.linalg.lstsq(M, wanted, rcond=None)[0]
+        if np.abs(M @ N - wanted).max() > 1e-8:
+            raise ValueError("reference cannot be held: no state and input at rest give all C x")
+        return N
+
+    def target(self, t: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return the state and the input about which the law acts at a time, (n,) and (m,)."""
+        n = len(self.x0)
+        if self.reference is None:
+            return self.x0, self.u0
+        r = self.reference(t) if callable(self.reference) else self.reference
+        r = _validate.real_array("reference", r)
+        if r.shape not in ((), (len(self.C),)):
+            raise ValueError(f"reference must have shape ({len(self.C)},), got {r.shape}")
+        shift = self.feedforward @ (r - self.C @ self.x0)
+        return self.x0 + shift[:n], self.u0 + shift[n:]
+
+    def error(self, x: Any, t: float = 0.0) -> np.ndarray:
+        """Return x less its target, angles the short way round; z follows as it is.
+
+        Parameters
+        ----------
+        x : array, shape (n,) or (n, N); with integrals (n + p,) or (n + p, N)
+        t : float [s]
+            Time, for a reference that depends on it.
+
+        Returns
+        -------
+        array, shape of x
+        """
+        x = state_of(x, self.K.shape[1])
+        target = np.zeros(len(x))
+        target[: len(self.x0)] = self.target(t)[0]
+        error = x - columns(target, x)
+        if self.wrapped:
+            error[self.wrapped] = wrap_angle(error[self.wrapped])
         return error
 
-    def cost_to_go(self, x: Any) -> np.ndarray:
+    def cost_to_go(self, x: Any, t: float = 0.0) -> np.ndarray:
         """Return dx' S dx, shape () or (N,)."""
-        error = self.error(x)
+        error = self.error(x, t)
         return np.einsum("i...,ij,j...->...", error, self.S, error)
 
     @property
@@ -132,40 +354,67 @@ class LQR:
         """The cost to go below which no input reaches its limit."""
         if self.limit is None:
             return np.inf
-        spans = np.einsum("ij,jk,ik->i", self.K, np.linalg.inv(self.S), self.K)
-        return float(((self.limit - np.abs(self.u0)) ** 2 / spans).min())
+        if callable(self.reference):
+            raise ValueError("level is that of one target, and the reference moves")
+        margin = self.limit - np.abs(self.target(0.0)[1])
+        # By the pseudo-inverse, as S is singular where Q does not see a mode that decays.
+        spans = np.einsum("ij,jk,ik->i", self.K, np.linalg.pinv(self.S, hermitian=True), self.K)
+        sizes = np.where(spans > 0, margin**2 / np.where(spans > 0, spans, 1.0), np.inf)
+        return float(np.where(margin > 0, sizes, 0.0).min())
 
     def __call__(self, x: Any, t: float) -> np.ndarray:
-        """Evaluate u(x, t), shape (m,) or (m, N)."""
-        error = self.error(x)
-        return saturate(columns(self.u0, error) - self.K @ error, self.limit)
+        """Evaluate u(x, t), shape (m,) or (m, N); with integrals u((x, z), t)."""
+        error = self.error(x, t)
+        return saturate(columns(self.target(t)[1], error) - self.K @ error, self.limit)
+
+    @property
+    def loop(self) -> System:
+        """The closed loop with its integrals; its inputs are disturbances."""
+        system = as_system(self.system, self.x0, self.u0)
+        p = self.K.shape[1] - system.n
+        return System(
+            rate=lambda y, d, t: self._closed(system, y, d, t),
+            states=(*system.states, *(f"z{i + 1}" for i in range(p))),
+            inputs=system.inputs,
+            dt=system.dt,
+            linear=system.linear and self.limit is None and not self.wrapped,
+            name=f"{system.name} with LQR",
+            batched=system.batched,
+        )
+
+    def _closed(self, system: System, y: np.ndarray, d: np.ndarray, t: float) -> np.ndarray:
+        n, u = system.n, self(y, t)
+        motion = np.asarray(system.rate(y[:n], u + d, t))
+        if self.integral is None:
+            return motion
+        # C x - r, as C Nx = I: the way round a circle included.
+        error = self.C @ self.error(y, t)[:n]
+        z = unwound(error, u, self.K[:, n:], self.limit)
+        return np.concatenate([motion, y[n:] + z if system.discrete else z + 0 * y[n:]])
 
 
-def _holding_control(system: System, target: Any, limit: float | None) -> np.ndarray:
+def at_rest_at(target: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Return the state (q, v) = (target, 0), and no control."""
+    q = np.atleast_1d(_validate.real_array("target", target))
+    return np.concatenate([q, 0 * q]), 0 * q
+
+
+def holding_control(system: System, target: Any, limit: float | None) -> np.ndarray:
     """Return the control that keeps a system at rest at a target of its positions."""
     if not system.m or system.n != 2 * system.m:
         raise ValueError(
             f"the system must have positions, as many velocities and as many inputs,"
-            f" got {system.n} states and {system.m} inputs; use LQR"
+            f" got {system.n} states and {system.m} inputs; use LQR, or PID with outputs="
         )
     target = _validate.real_array("target", target, (system.m,))
     at_rest = np.concatenate([target, np.zeros(system.m)])
     u = find_equilibrium(system, at_rest, fixed=system.states).u
-    if limit is not None and np.abs(u).max() > limit:
-        raise ValueError(
-            f"limit must be at least {np.abs(u).max():.4g} to hold the target, got {limit:g}"
-        )
+    require_holding(limit, u, "the target")
     return u
 
 
-def _require_stable(loop: System, x0: np.ndarray, gains: str) -> None:
-    report = stability(loop, x0)
-    if report.verdict != "asymptotically stable":
-        raise ValueError(f"{gains} do not stabilize the target: {report.reason}")
-
-
-@dataclass(frozen=True)
-class PD:
+@dataclass(frozen=True, eq=False)
+class PD(Portable):
     """Proportional-derivative control of positions towards a target.
 
     u = u0 - kp (q - target) - kd v, clipped to the limit, where u0 holds the target.
@@ -205,15 +454,15 @@ class PD:
     u0: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
-        system = as_system(self.system)
+        at_rest, idle = at_rest_at(self.target)
+        system = as_system(self.system, at_rest, idle)  # of a plain function, they tell n and m
         limit = None if self.limit is None else _validate.positive("limit", self.limit)
         kp, kd = _validate.number("kp", self.kp), _validate.number("kd", self.kd)
-        object.__setattr__(self, "u0", _holding_control(system, self.target, limit))
+        object.__setattr__(self, "u0", holding_control(system, self.target, limit))
         object.__setattr__(self, "target", _validate.real_array("target", self.target))
-        at_rest = np.concatenate([self.target, np.zeros(system.m)])
-        loop = as_system(lambda x: system.dynamics(x, self._unlimited(x)), at_rest)
+        loop = as_system(lambda x: system.dynamics(x, self._unlimited(x)), at_rest, dt=system.dt)
         loop = replace(loop, linear=system.linear)
-        _require_stable(loop, at_rest, f"the gains kp = {kp:g}, kd = {kd:g}")
+        require_stable(loop, at_rest, f"the gains kp = {kp:g}, kd = {kd:g}")
 
     def _unlimited(self, x: np.ndarray) -> np.ndarray:
         q, v = np.split(x, 2)
@@ -221,88 +470,4 @@ class PD:
 
     def __call__(self, x: Any, t: float) -> np.ndarray:
         """Evaluate u(x, t), shape (m,) or (m, N)."""
-        return saturate(self._unlimited(np.asarray(x)), self.limit)
-
-
-@dataclass(frozen=True)
-class PID:
-    """Proportional-integral-derivative control, its memory a state.
-
-    u = u0 - kp (q - target) - ki z - kd v with z' = q - target, clipped to the limit. The
-    law needs z, so it does not fit u(x, t): loop is the closed system with the state (x, z).
-    While an input is at its limit, its z does not grow further into it (anti-windup).
-
-    Parameters
-    ----------
-    system, target, kp, kd, limit
-        As PD.
-    ki : float
-        Integral gain.
-
-    Attributes
-    ----------
-    loop : System
-        States (q, v, z); its inputs are disturbances that add to the control.
-
-    Raises
-    ------
-    TypeError, ValueError
-        As PD.
-
-    References
-    ----------
-    K. J. Astrom and R. M. Murray, Feedback Systems, 2nd ed., section 11.4 (windup).
-
-    Examples
-    --------
-    >>> import statebook as sb
-    >>> pid = PID(sb.Particle(m=2.0), target=[1.0], kp=6.0, ki=2.0, kd=5.0)
-    >>> rest = sb.find_equilibrium(pid.loop, [0, 0, 0], [0.5])  # z carries the disturbance
-    >>> rest.x.round(6) + 0.0
-    array([1.  , 0.  , 0.25])
-    """
-
-    system: Any
-    target: Any
-    kp: float
-    ki: float
-    kd: float
-    limit: float | None = None
-    u0: np.ndarray = field(init=False)
-    loop: System = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        system = as_system(self.system)
-        limit = None if self.limit is None else _validate.positive("limit", self.limit)
-        gains = [_validate.number(name, getattr(self, name)) for name in ("kp", "ki", "kd")]
-        object.__setattr__(self, "u0", _holding_control(system, self.target, limit))
-        object.__setattr__(self, "target", _validate.real_array("target", self.target))
-        loop = System(
-            rate=lambda y, d, t: self._closed(system, y, d),
-            states=(*system.states, *(f"z{i + 1}" for i in range(system.m))),
-            inputs=system.inputs,
-            name=f"{system.name} with PID",
-        )
-        object.__setattr__(self, "loop", loop)
-        at_rest = np.concatenate([self.target, np.zeros(2 * system.m)])
-        names = "the gains kp = {:g}, ki = {:g}, kd = {:g}".format(*gains)
-        _require_stable(loop, at_rest, names)
-
-    def __call__(self, y: Any, t: float) -> np.ndarray:
-        """Evaluate the control at y = (q, v, z), shape (m,) or (m, N)."""
-        y = np.asarray(y)
-        q, v, z = np.split(y, 3)
-        error = q - columns(self.target, y)
-        u = columns(self.u0, y) - self.kp * error - self.ki * z - self.kd * v
-        return saturate(u, self.limit)
-
-    def _closed(self, system: System, y: np.ndarray, d: np.ndarray) -> np.ndarray:
-        u = self(y, 0.0)
-        q, _, z = np.split(y, 3)
-        error = q - columns(self.target, y)
-        if self.limit is not None:
-            # -ki z is the integral's part of u: hold z where it would push on in vain.
-            winding = (np.abs(u) >= self.limit) & (u * -self.ki * error > 0)
-            error = np.where(winding, 0.0, error)
-        motion = system.rate(y[: system.n], u + (d if d.ndim == y.ndim else d[:, None]), 0.0)
-        return np.concatenate([motion, error + 0 * z])
+        return saturate(self._unlimited(state_of(x, 2 * len(self.u0))), self.limit)

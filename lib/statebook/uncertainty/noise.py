@@ -48,29 +48,7 @@ def covariance_matrix(name: str, value: Any, size: int | None = None) -> np.ndar
     if matrix.shape != (n, n) or n == 0:
         wanted = "(n, n)" if size is None else f"({n}, {n})"
         raise ValueError(f"{name} must be a covariance of shape {wanted}, got {matrix.shape}")
-    # In units of the standard deviations: a small variance beside a large one counts as much.
-    variances = np.diag(matrix)
-    scale = np.sqrt(np.where(variances > 0, variances, np.abs(matrix).max() or 1.0))
-    correlation = matrix / scale[:, None] / scale
-    if np.abs(correlation - correlation.T).max() > _ROUNDING:
-        raise ValueError(
-            f"{name} must be symmetric, got {matrix.tolist()}; "
-            "if rounding made it so, pass (P + P.T) / 2"
-        )
-    matrix = (matrix + matrix.T) / 2
-    if variances.min() < -4 * np.finfo(float).eps * np.abs(matrix).max():
-        raise ValueError(
-            f"{name} must be positive semidefinite: a variance cannot be negative, "
-            f"got {variances.min():.4g}"
-        )
-    lowest = np.linalg.eigvalsh((correlation + correlation.T) / 2)[0]
-    if lowest < -n * _ROUNDING:
-        raise ValueError(
-            f"{name} must be positive semidefinite: a correlation cannot exceed 1, "
-            f"got the eigenvalue {lowest:.4g} of the correlations"
-        )
-    np.fill_diagonal(matrix, np.maximum(variances, 0.0))
-    return matrix
+    return _validate.semidefinite(name, matrix)
 
 
 def square_root(matrix: np.ndarray) -> np.ndarray:
@@ -231,7 +209,7 @@ class HeldNoise:
 
 def _seed(seed: Any) -> int:
     if isinstance(seed, np.random.Generator):
-        return int(seed.integers(2**32))
+        return int.from_bytes(seed.bytes(16), "little")  # so many that none come twice
     if seed is None:
         raise TypeError(
             "seed is required, as noise must be reproducible: give an integer or a"

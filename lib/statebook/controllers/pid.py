@@ -1,0 +1,306 @@
+"""PID control of what is measured, its memory a state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from statebook import _validate
+from statebook.controllers.linear import (
+    Portable,
+    at_rest_at,
+    columns,
+    holding_control,
+    require_holding,
+    require_stable,
+    rows_of,
+    saturate,
+    state_of,
+    unwound,
+)
+from statebook.equilibrium import find_equilibrium
+from statebook.errors import EquilibriumNotFoundError
+from statebook.systems import System, as_system
+
+Measurement = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class PID(Portable):
+    """Proportional-integral-derivative control, its memory a state.
+
+    u = u0 - kp e - ki z - kd d, clipped to the limit, with the error e = y - target of what is
+    measured, z' = e, and d the rate of y; u0 holds the target. The law needs its memory, so it
+    does not fit u(x, t): loop is the closed system. While an input is at its limit, its z does
+    not grow further into it (anti-windup).
+
+    Parameters
+    ----------
+    system : system
+        With states (q, v) and one input a position, of which q is measured and v is its rate;
+        or any system whose outputs are measured.
+    target : array, shape (p,)
+        Of the positions, or of the outputs.
+    kp, ki, kd : number, or array of shape (m,) or (m, p)
+        Gains; a number or a vector pairs each input with the output of its index.
+    limit : float > 0, optional
+        Largest magnitude of each input.
+    outputs : sequence of str or array C of shape (p, n), optional
+        What is measured: labels of states or of a python-control system's outputs, or C x. The
+        outputs of a python-control system with as many outputs as inputs, if omitted.
+    filter_time : float > 0 [s], optional
+        Time constant Tf of the derivative: d = (y - f) / Tf with f' = d. If omitted, a tenth of
+        kd / kp, and no filter where the velocities are states.
+    x_guess, u_guess : array, shape (n,) and (m,), optional
+        Where the search for the equilibrium begins that has the target as its outputs.
+
+    Attributes
+    ----------
+    x0, u0 : array, shape (n,) and (m,)
+        The equilibrium at the target.
+    loop : System
+        States (x, z), and f behind them if the derivative is filtered; its inputs are
+        disturbances that add to the control. In discrete time z_next = z + dt e and
+        f_next = y + exp(-dt / Tf) (f - y).
+
+    Raises
+    ------
+    TypeError, ValueError
+        No state at rest has the target as its outputs, an output depends on an input at once,
+        the gains destabilize, the limit cannot hold the target.
+
+    References
+    ----------
+    K. J. Astrom and R. M. Murray, Feedback Systems, 2nd ed., sections 11.4 (windup) and 11.5
+    (filtered derivative).
+
+    Examples
+    --------
+    >>> import statebook as sb
+    >>> pid = PID(sb.Particle(m=2.0), target=[1.0], kp=6.0, ki=2.0, kd=5.0)
+    >>> rest = sb.find_equilibrium(pid.loop, [0, 0, 0], [0.5])  # z carries the disturbance
+    >>> rest.x.round(6) + 0.0
+    array([1.  , 0.  , 0.25])
+    >>> PID(sb.Particle(), [1.0], kp=6.0, ki=2.0, kd=5.0, outputs=["p"]).loop.states
+    ('p', 'v', 'z1', 'f1')
+    """
+
+    system: Any
+    target: Any
+    kp: Any
+    ki: Any
+    kd: Any
+    limit: float | None = None
+    outputs: Any = field(default=None, kw_only=True)
+    filter_time: float | None = field(default=None, kw_only=True)
+    x_guess: Any = field(default=None, kw_only=True)
+    u_guess: Any = field(default=None, kw_only=True)
+    x0: np.ndarray = field(init=False)
+    u0: np.ndarray = field(init=False)
+    gains: tuple[np.ndarray, ...] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        limit = None if self.limit is None else _validate.positive("limit", self.limit)
+        system, measure = self._plant
+        if not self._measures(system):
+            u0 = holding_control(system, self.target, limit)
+            target, x0 = _validate.real_array("target", self.target), at_rest_at(self.target)[0]
+        else:
+            target = np.atleast_1d(_validate.real_array("target", self.target))
+            x0, u0 = self._equilibrium(system, target)
+            require_holding(limit, u0, "the target")
+        names, shape = ("kp", "ki", "kd"), (system.m, len(target))
+        gains = tuple(_gain(name, getattr(self, name), shape) for name in names)
+        filter_time = self.filter_time
+        if filter_time is not None:
+            filter_time = _validate.positive("filter_time", filter_time)
+        elif self._measures(system) and gains[2].any():
+            if not gains[0].any():
+                raise ValueError("filter_time is required for kd without kp: d is filtered")
+            filter_time = float(np.abs(gains[2]).max() / np.abs(gains[0]).max()) / 10
+        for name, value in {
+            "target": target,
+            "limit": limit,
+            "filter_time": filter_time,
+            "x0": x0,
+            "u0": u0,
+            "gains": gains,
+        }.items():
+            object.__setattr__(self, name, value)
+        loop, at_rest = self._loop(None), np.concatenate([x0, np.zeros(len(target))])
+        if filter_time is not None:
+            at_rest = np.concatenate([at_rest, measure(x0)])
+        shown = (f"{name} = {_shown(getattr(self, name))}" for name in names)
+        require_stable(loop, at_rest, f"the gains {', '.join(shown)}")
+
+    @cached_property
+    def _plant(self) -> tuple[System, Measurement]:
+        """The system and what is measured of it."""
+        x, u = self.x_guess, self.u_guess  # of a plain function, they tell n and m
+        if x is None and self.outputs is None:
+            x, u = at_rest_at(self.target)
+        try:
+            system = as_system(self.system, x, np.zeros(1) if u is None else u)
+        except (TypeError, ValueError) as error:  # in the words of PID
+            said = str(error).replace("x0", "x_guess").replace("u0", "u_guess")
+            raise type(error)(said) from error
+        return system, self._measurement(system)
+
+    def _measures(self, system: System) -> bool:
+        """Whether outputs are measured, rather than positions beside their velocities."""
+        own = getattr(system.source, "output_labels", ())
+        return self.outputs is not None or (len(own) == system.m and system.m > 0)
+
+    def _measurement(self, system: System) -> Measurement:
+        """The function y = h(x) of (n,) or (n, N)."""
+        n, m, source = system.n, system.m, system.source
+        own = list(getattr(source, "output_labels", ()))
+        if not self._measures(system):
+            return lambda x: x[:m]
+        wanted = own if self.outputs is None else self.outputs
+        labelled = np.ndim(wanted) == 1 and all(isinstance(label, str) for label in wanted)
+        if not labelled or (self.outputs is not None and set(wanted) <= set(system.states)):
+            C = rows_of("outputs", wanted, system.states)
+            return lambda x: C @ x
+        absent = [label for label in wanted if label not in own]
+        if absent:
+            among = (*system.states, *own)
+            raise ValueError(f"outputs must hold labels among {among}, got {absent[0]!r}")
+        index = [own.index(label) for label in wanted]
+        if hasattr(source, "C"):
+            C, D = np.asarray(source.C)[index], np.asarray(source.D)[index]
+            if D.any():
+                raise ValueError("outputs must not depend on the inputs at once: D is not 0")
+            return lambda x: C @ x
+
+        def measure(x: np.ndarray) -> np.ndarray:
+            if x.ndim == 1:
+                return np.asarray(source.output(0.0, x, np.zeros(m)))[index]
+            return np.stack([measure(column) for column in x.T], axis=1)
+
+        beside = np.zeros(n) if self.x_guess is None else np.asarray(self.x_guess, dtype=float)
+        if (np.asarray(source.output(0.0, beside, np.ones(m)))[index] != measure(beside)).any():
+            raise ValueError("outputs must not depend on the inputs at once")
+        return measure
+
+    def _equilibrium(self, system: System, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the state and the input at rest that have the target as their outputs."""
+        n, measure = system.n, self._plant[1]
+        u = np.zeros(system.m) if self.u_guess is None else self.u_guess
+        u = _validate.real_array("u_guess", u, (system.m,))
+        x = np.zeros(n) if self.x_guess is None else self.x_guess
+        x = _validate.real_array("x_guess", x, (n,))
+        y = measure(x)
+        if y.shape != target.shape:
+            raise ValueError(f"target must have shape {y.shape}, got {target.shape}")
+        if self.x_guess is None:  # the state nearest to 0 that has these outputs, if linear
+            C = np.stack([measure(e) - y for e in np.eye(n)], axis=1)
+            x = np.linalg.lstsq(C, target - y, rcond=None)[0]
+
+        def residual(z: np.ndarray) -> np.ndarray:
+            motion = system.dynamics(z[:n], z[n:]) - (z[:n] if system.discrete else 0.0)
+            return np.concatenate([motion, measure(z[:n]) - target])
+
+        # As many equations as unknowns, as find_equilibrium wants of a system: lacking or
+        # surplus ones are zeros.
+        short = max(0, system.m - len(target))
+        guess = np.concatenate([x, u, np.zeros(max(0, len(target) - system.m))])
+        square = as_system(
+            lambda z: np.concatenate([residual(z[: n + system.m]), np.zeros(short)]), guess
+        )
+        try:
+            z = find_equilibrium(square, guess).x
+        except EquilibriumNotFoundError as error:
+            raise ValueError(
+                f"target cannot be held: no state of {system.name} at rest with the outputs"
+                f" {target.tolist()} was found; give x_guess and u_guess near one ({error})"
+            ) from error
+        return z[:n], z[n : n + system.m]
+
+    @property
+    def loop(self) -> System:
+        """The closed loop with its memory; its inputs are disturbances."""
+        return self._loop(self.limit)
+
+    def _loop(self, limit: float | None) -> System:
+        system, measure = self._plant
+        memories = ("z",) if self.filter_time is None else ("z", "f")
+        return System(
+            rate=lambda y, d, t: self._closed(system, measure, limit, y, d, t),
+            states=(
+                *system.states,
+                *(f"{name}{i + 1}" for name in memories for i in range(len(self.target))),
+            ),
+            inputs=system.inputs,
+            dt=system.dt,
+            name=f"{system.name} with PID",
+            batched=system.batched,
+        )
+
+    def __call__(self, y: Any, t: float) -> np.ndarray:
+        """Evaluate the control at y = (x, z) or (x, z, f), shape (m,) or (m, N)."""
+        n, p = len(self.x0), len(self.target)
+        y = state_of(y, n + (1 if self.filter_time is None else 2) * p)
+        return self._control(self._plant[1](y[:n]), y[:n], y[n : n + p], y[n + p :], self.limit)
+
+    def _control(
+        self, y: np.ndarray, x: np.ndarray, z: np.ndarray, f: np.ndarray, limit: float | None
+    ) -> np.ndarray:
+        kp, ki, kd = self.gains
+        rate = x[len(self.target) :] if self.filter_time is None else (y - f) * self._pace()
+        # Without a filter and a velocity kd is 0.
+        derivative = kd @ rate if kd.any() else 0.0
+        error = y - columns(self.target, y)
+        return saturate(columns(self.u0, y) - kp @ error - ki @ z - derivative, limit)
+
+    def _pace(self) -> float:
+        """What f moves per time and per distance from y [1/s]."""
+        Tf, dt = float(self.filter_time or np.inf), self._step()
+        return -np.expm1(-dt / Tf) / dt if dt else 1 / Tf
+
+    def _step(self) -> float:
+        """The sample time, or 0 in continuous time."""
+        system = self._plant[0]
+        return float(system.dt or 0) if system.discrete else 0.0
+
+    def _closed(
+        self,
+        system: System,
+        measure: Measurement,
+        limit: float | None,
+        state: np.ndarray,
+        d: np.ndarray,
+        t: float,
+    ) -> np.ndarray:
+        n, p = system.n, len(self.target)
+        x, z, f = state[:n], state[n : n + p], state[n + p :]
+        y = measure(x)
+        u = self._control(y, x, z, f, limit)
+        error = unwound(y - columns(self.target, y), u, self.gains[1], limit)
+        memory = [error + 0 * z]
+        if self.filter_time is not None:
+            memory.append((y - f) * self._pace())
+        motion = np.asarray(system.rate(x, u + d, t))
+        if not system.discrete:
+            return np.concatenate([motion, *memory])
+        return np.concatenate([motion, state[n:] + self._step() * np.concatenate(memory)])
+
+
+def _gain(name: str, value: Any, shape: tuple[int, int]) -> np.ndarray:
+    """Return a gain (m, p) from a matrix, or from what pairs inputs and outputs by index."""
+    m, p = shape
+    matrix = _validate.real_array(name, value)
+    if m == p and matrix.shape in ((), (m,)):
+        return np.diag(np.broadcast_to(matrix, (m,)))
+    if matrix.shape != shape:
+        also = f", ({m},) or be a number" if m == p else ""
+        raise ValueError(f"{name} must have shape {shape}{also}, got {matrix.shape}")
+    return matrix
+
+
+def _shown(gain: Any) -> str:
+    return f"{gain:g}" if np.ndim(gain) == 0 else str(np.asarray(gain).tolist())
