@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from statebook import _validate
+from statebook.angles import wrap_angle
 from statebook.controllers.linear import LQR
 from statebook.models.cart_pole import CartPole
 from statebook.models.pendulum import Pendulum
@@ -17,12 +19,15 @@ from statebook.systems import System
 from statebook.trajectory import Trajectory
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SwingUp:
     """Swing-up of a pendulum under a torque limit.
 
     Until the LQR at the top can catch the pendulum without reaching the limit, the torque
-    drives the energy E to that of the top, m g L: u = limit sat(gain (m g L - E) omega).
+    drives the energy E to that of the top, m g L, and what friction takes on the way there:
+    u = limit sat(gain (m g L + W - E) omega). W = 4 damping sqrt(g / L) (1 - sin(phi / 2)), phi
+    the angle from the bottom in the direction of motion, is the work of friction up to the top
+    at the speeds of a swing that ends there.
 
     Parameters
     ----------
@@ -40,12 +45,14 @@ class SwingUp:
     Raises
     ------
     TypeError, ValueError
-        There is no torque, or the friction takes all that the torque can give.
+        There is no torque, or the friction takes all that the torque can give before the swing
+        reaches the top.
 
     Notes
     -----
     E' = u omega - damping omega^2: a torque in the direction of motion pumps. At rest at the
-    bottom, where the law gives nothing, it starts with the full torque.
+    bottom, where the law gives nothing, it starts with the full torque. With friction the law is
+    tried: from rest at any angle, the next swing must go higher or be caught.
 
     References
     ----------
@@ -69,23 +76,44 @@ class SwingUp:
             raise TypeError(f"pendulum must be a Pendulum, got {type(self.pendulum).__name__}")
         limit = _validate.positive("limit", self.limit)
         _validate.positive("gain", self.gain)
-        # Just below the top the pendulum passes the bottom at omega^2 = 4 g / L.
-        fastest = 2 * np.sqrt(self.pendulum.g / self.pendulum.L)
-        if limit <= self.pendulum.damping * fastest:
-            raise ValueError(
-                f"limit must exceed the friction torque {self.pendulum.damping * fastest:.4g} of a"
-                f" swing that reaches the top, got {limit:g}"
-            )
+        if self.pendulum.g == 0:
+            raise ValueError("pendulum must have weight to swing, got g = 0; LQR alone moves it")
         catch = LQR(self.pendulum, [np.pi / 2, 0.0], limit=limit, circle=("theta",))
         object.__setattr__(self, "catch", catch)
+        if self.pendulum.damping > 0:
+            self._require_growth()
+
+    def _require_growth(self) -> None:
+        """Try the full torque on the model, at rest at angles from the bottom to the top."""
+        pendulum = self.pendulum
+        angles = np.linspace(0.0, np.pi, _ANGLES + 2)[1:-1]
+        start = np.stack([-np.pi / 2 - angles, 0.0 * angles])
+        start = start[:, ~self._caught(start)]
+        # No torque within the limit carries a swing higher than the full one.
+        duration = 2 * np.pi * _PERIODS * np.sqrt(pendulum.L / pendulum.g)
+        run = simulate(pendulum, start, [self.limit], duration=duration, rtol=1e-7)
+        before, after = -np.pi / 2 - start[0], (run.states[0] + np.pi / 2).max(axis=1)
+        if np.any(after <= before):
+            ends = before[np.argmax(after <= before)]
+            raise ValueError(
+                f"limit must be larger, got {self.limit:g}: a swing under the full torque grows to"
+                f" {ends:.3g} of the {np.pi:.3g} rad from the bottom to the top, then friction"
+                " takes all that the torque gives"
+            )
+
+    def _caught(self, x: np.ndarray) -> np.ndarray:
+        # Half of the catching level: the region is invariant for the linear loop alone.
+        return self.catch.cost_to_go(x) < self.catch.level / 2
 
     def __call__(self, x: Any, t: float) -> np.ndarray:
         """Evaluate u(x, t), shape (1,) or (1, N)."""
         x = np.asarray(x, dtype=float)
         top = self.pendulum.m * self.pendulum.g * self.pendulum.L
         lack = top - self.pendulum.energy(x)
-        # Half of the catching level: the region is invariant for the linear loop alone.
-        caught = self.catch.cost_to_go(x) < self.catch.level / 2
+        caught = self._caught(x)
+        rate = np.sqrt(self.pendulum.g / self.pendulum.L)
+        ahead = wrap_angle(x[0] + np.pi / 2) * np.sign(x[1])
+        lack = lack + 4 * self.pendulum.damping * rate * (1 - np.sin(ahead / 2))
         pump = np.clip(self.gain * lack * x[1], -self.limit, self.limit)
         still = (np.abs(x[1]) < 1e-6) & (lack > 0)
         pump = np.where(still, self.limit, pump)
@@ -95,6 +123,8 @@ class SwingUp:
 _SETTLING = 8.0  # [s] after the switch, in which the trial must come to rest
 _SETTLED = 0.01  # [rad], [rad/s]
 _SAMPLES = 401
+_ANGLES = 60
+_PERIODS = 2  # of small swings: within them the longest of these half swings ends
 
 
 def cart_force(cartpole: CartPole, x: Any, acceleration: Any) -> np.ndarray:
@@ -134,7 +164,11 @@ def cart_force(cartpole: CartPole, x: Any, acceleration: Any) -> np.ndarray:
     return (np.asarray(acceleration) - idle) / per_newton
 
 
-@dataclass(frozen=True)
+def _without_torque(cartpole: CartPole, x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
+    return cartpole.dynamics(x, np.stack([u[0], 0.0 * u[0]]))
+
+
+@dataclass(frozen=True, eq=False)
 class CartPoleSwingUp:
     """Swing a pole up by a planned motion of its cart, then catch it.
 
@@ -214,7 +248,7 @@ class CartPoleSwingUp:
                     f"{name} must be on the track [{low:g}, {high:g}] m, got {place:g} m"
                 )
         system = System(
-            rate=lambda x, u, t: self.cartpole.dynamics(x, np.stack([u[0], 0.0 * u[0]])),
+            rate=partial(_without_torque, self.cartpole),
             states=CartPole.states,
             inputs=CartPole.inputs[:1],
             name="cartpole without torque",
