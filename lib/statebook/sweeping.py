@@ -136,7 +136,8 @@ def _points(grid: Any) -> tuple[list[dict[str, Any]], tuple[int, ...]]:
     if not isinstance(grid, Mapping):
         raise TypeError(f"grid must map parameters to their values, got {type(grid).__name__}")
     for name, values in grid.items():
-        if isinstance(values, str | bytes) or np.ndim(values) == 0:
+        sized = hasattr(values, "__len__") and getattr(values, "ndim", 1) > 0
+        if isinstance(values, str | bytes) or not sized:
             raise TypeError(f"grid must hold a sequence of values of {name}, got {values!r}")
     shape = tuple(len(values) for values in grid.values())
     if not shape or 0 in shape:

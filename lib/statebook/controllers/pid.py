@@ -281,13 +281,12 @@ class PID(Portable):
         y = measure(x)
         u = self._control(y, x, z, f, limit)
         error = unwound(y - columns(self.target, y), u, self.gains[1], limit)
-        memory = [error + 0 * z]
+        motion, step = np.asarray(system.rate(x, u + d, t)), self._step()
+        memory = [z + step * error if step else error + 0 * z]
         if self.filter_time is not None:
-            memory.append((y - f) * self._pace())
-        motion = np.asarray(system.rate(x, u + d, t))
-        if not system.discrete:
-            return np.concatenate([motion, *memory])
-        return np.concatenate([motion, state[n:] + self._step() * np.concatenate(memory)])
+            left = np.exp(-step / self.filter_time)
+            memory.append(y + left * (f - y) if step else (y - f) * self._pace())
+        return np.concatenate([motion, *memory])
 
 
 def _gain(name: str, value: Any, shape: tuple[int, int]) -> np.ndarray:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from statebook import _validate
-from statebook.plotting.style import new_axes
+from statebook.plotting.style import new_axes, window
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -46,8 +46,8 @@ def eigenvalues(
     >>> eigenvalues([-1 + 2j, -1 - 2j]).get_xlabel()
     'real part'
     """
-    ax = new_axes(ax)
     values = np.ravel(_validate.array("values", values))
+    ax = new_axes(ax)
     if discrete:
         turn = np.linspace(0, 2 * np.pi, 201)
         ax.plot(np.cos(turn), np.sin(turn), "--", color="0.4", linewidth=1)
@@ -92,10 +92,10 @@ def stability_region(
     """
     from statebook.runge_kutta import stability_function
 
-    ax = new_axes(ax)
-    x, y = np.linspace(xlim[0], xlim[1], 301), np.linspace(ylim[0], ylim[1], 301)
+    x, y = np.linspace(*window("xlim", xlim), 301), np.linspace(*window("ylim", ylim), 301)
     growth = np.abs(stability_function(method, x[None, :] + 1j * y[:, None]))
     growth = np.nan_to_num(growth, posinf=1e3)
+    ax = new_axes(ax)
     ax.contourf(x, y, growth, levels=[0.0, 1.0], colors=["#c9d6e8"])
     ax.contour(x, y, growth, levels=[1.0], colors=["#12407a"], linewidths=1.2)
     ax.axhline(0, color="0.4", linewidth=0.6)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from statebook import _validate
-from statebook.plotting.style import new_axes
+from statebook.plotting.style import new_axes, window
 from statebook.systems import System, as_system
 
 if TYPE_CHECKING:
@@ -19,9 +19,8 @@ def _plane(
     system: Any, xlim: Sequence[float], ylim: Sequence[float], u: Any, number: int
 ) -> tuple[System, np.ndarray, np.ndarray, np.ndarray]:
     """Return the system, its states on a grid of the plane and their derivatives there."""
-    left, right = _validate.real_array("xlim", xlim, (2,))
-    low, high = _validate.real_array("ylim", ylim, (2,))
-    X, Y = np.meshgrid(np.linspace(left, right, number), np.linspace(low, high, number))
+    x, y = window("xlim", xlim), window("ylim", ylim)
+    X, Y = np.meshgrid(np.linspace(*x, number), np.linspace(*y, number))
     points = np.stack([X.ravel(), Y.ravel()])
     system = as_system(system, points[:, 0], u)
     if system.n != 2:
@@ -69,8 +68,8 @@ def flow(
     >>> flow(lambda x: [x[1], -x[0]], (-1, 1), (-1, 1)).get_xlabel()
     'x[0]'
     """
-    ax = new_axes(ax)
     system, X, Y, (dX, dY) = _plane(system, xlim, ylim, u, 60)
+    ax = new_axes(ax)
     ax.streamplot(X, Y, dX, dY, density=1.0, color="0.65", linewidth=0.7, arrowsize=0.8)
     ax.set_xlim(*xlim)
     ax.set_ylim(*ylim)
@@ -109,8 +108,8 @@ def arrows(
     >>> arrows(lambda x: [x[1], -x[0]], (-1, 1), (-1, 1)).get_ylabel()
     'x[1]'
     """
-    ax = new_axes(ax)
     system, X, Y, (dX, dY) = _plane(system, xlim, ylim, u, _validate.integer("number", number, 2))
+    ax = new_axes(ax)
     ax.quiver(X, Y, dX, dY, angles="xy", color="0.4", width=0.003)
     return _label(ax, system)
 
@@ -153,8 +152,8 @@ def phase_portrait(
     from statebook.simulation import simulate
 
     x0s = _validate.real_array("x0s", x0s, (2, None))
-    ax = flow(system, xlim, ylim, u, ax=ax)
     times = np.linspace(0, _validate.positive("duration", duration), 401)
+    ax = flow(system, xlim, ylim, u, ax=ax)
     states = simulate(system, x0s, u, times=times).states
     for trajectory in states.swapaxes(0, 1):
         ax.plot(*trajectory, color="C0")
