@@ -6,6 +6,8 @@ reject a right program for one seed in 10^9 (5 x 10^8 for 6): below 10^-6 for th
 
 from __future__ import annotations
 
+import pickle
+
 import control
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import statebook as sb
+from statebook.uncertainty.noise import covariance_matrix, square_root
 
 ALARM = 1e-9
 Q = 0.6  # intensity [N^2 s]
@@ -167,6 +170,103 @@ def test_discretized_noise_is_the_integral_and_adds_up():
     )
 
 
+def integral_by_quadrature(A, G, Q, dt):
+    """The covariance by quadrature over stretches that grow from the fastest mode's."""
+    fastest = max(1e-12, np.abs(np.linalg.eigvals(A)).max())
+    ends = np.array([0.0, *np.geomspace(min(dt, 0.01 / fastest), dt, 160)])
+    nodes, weights = np.polynomial.legendre.leggauss(12)
+    half = np.diff(ends)[:, None] / 2
+    times, weights = (ends[:-1, None] + half * (1 + nodes)).ravel(), (half * weights).ravel()
+    F = scipy.linalg.expm(A * times[:, None, None]) @ G
+    return np.einsum("k,kij,jl,kml->im", weights, F, Q, F)
+
+
+STIFF = {
+    "two modes": ([[-1, 0], [0, -50]], np.eye(2), 1.0),
+    "fast": ([[-1000]], [[1]], 1.0),
+    "actuator": ([[-1, 1], [0, -1e5]], [[0], [1]], 3.0),
+    "servo": ([[0, 1, 0], [-100, -0.2, 1], [0, 0, -1e4]], [[0], [0], [1]], 10.0),
+    "unstable beside stiff": ([[1.0, 3], [2, -500]], [[1], [1]], 5.0),
+    "creeping": ([[-1e-9, 1], [0, -1e3]], [[1], [1]], 1e-3),
+    "short": ([[-2, 1], [0, -3]], [[0], [1]], 1e-9),
+}
+
+
+@pytest.mark.parametrize("name", STIFF)
+def test_noise_of_stiff_plants_is_the_integral(name):
+    A, G, dt = STIFF[name]
+    Q = 2.0 * np.eye(len(G[0]))
+    Qd = sb.discretize_noise(A, G, Q, dt)
+    expected = integral_by_quadrature(np.array(A), np.array(G), Q, dt)
+    deviations = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(
+        Qd / np.outer(deviations, deviations), expected / np.outer(deviations, deviations),
+        rtol=0, atol=1e-8,  # expm by squarings, which the quadrature needs, is no better
+    )  # fmt: skip
+    np.testing.assert_allclose(np.diag(Qd), np.diag(expected), rtol=1e-8)
+
+
+@pytest.mark.parametrize("dt", [1e-12, 1.0, 1e4, 1e300])
+def test_noise_of_any_time_is_its_closed_form(dt):
+    for rate in (1e-6, 1.0, 1e8):
+        Qd = sb.discretize_noise([[-rate]], [[2.0]], 3.0, dt)
+        assert Qd[0, 0] == pytest.approx(-np.expm1(-2 * rate * dt) / (2 * rate) * 12, rel=1e-12)
+    P = scipy.linalg.solve_continuous_lyapunov([[-1.0, 5.0], [0.0, -300.0]], -np.eye(2))
+    late = sb.discretize_noise([[-1.0, 5.0], [0.0, -300.0]], np.eye(2), np.eye(2), 1e6)
+    np.testing.assert_allclose(late, P, rtol=1e-12)
+
+
+@settings(deadline=None, max_examples=150)
+@given(st.integers(1, 5), st.integers(0, 10**6), st.floats(-6, 6), st.floats(-6, 3))
+def test_discretized_noise_is_a_covariance(n, seed, scale, time):
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(n, n)) * 10.0**scale
+    A -= (np.linalg.eigvals(A).real.max() + 10.0**scale * 0.01) * np.eye(n)  # stable
+    units = 10.0 ** rng.uniform(-8, 8, n)
+    A = units[:, None] * A / units
+    G = units[:, None] * rng.normal(size=(n, 1))
+    Qd = sb.discretize_noise(A, G, 2.0, 10.0**time)
+    assert (Qd == Qd.T).all()
+    size = np.sqrt(np.diag(Qd))
+    assert np.linalg.eigvalsh(Qd / np.outer(size, size)).min() > -1e-14 * n
+    sb.HeldNoise(Qd, 1.0, seed=1)
+    F = scipy.linalg.expm(A * 10.0**time)
+    doubled = sb.discretize_noise(A, G, 2.0, 2 * 10.0**time)
+    np.testing.assert_allclose(
+        (Qd + F @ Qd @ F.T) / np.outer(size, size), doubled / np.outer(size, size), atol=1e-6
+    )
+
+
+def test_noise_of_what_grows_beyond_numbers_is_refused():
+    with pytest.raises(ValueError, match="dt must be shorter: after 1000 s"):
+        sb.discretize_noise([[1.0]], [[1.0]], 1.0, 1e3)
+    assert sb.discretize_noise([[1.0]], [[1.0]], 0.0, 1.0) == 0
+
+
+def test_small_variances_beside_large_ones_are_kept():
+    covariance = np.diag([1e12, 1e-12])
+    values = sb.HeldNoise(covariance, 0.1, seed=5)(0.0, number=20_000)
+    assert sb.consistency(values[1:], 1e-12) > ALARM
+    with pytest.raises(ValueError, match="positive semidefinite"):
+        sb.HeldNoise(np.diag([1e12, -1e-3]), 0.1, seed=5)
+    rounded = np.array([[1.0, 0.0], [0.0, -1e-17]])
+    assert (sb.HeldNoise(rounded, 0.1, seed=1)(0.0, 5)[1] == 0).all()
+
+
+@settings(deadline=None, max_examples=100)
+@given(st.integers(1, 5), st.integers(0, 10**6))
+def test_roots_of_covariances_in_any_units(n, seed):
+    rng = np.random.default_rng(seed)
+    units = 10.0 ** rng.uniform(-8, 8, n)
+    factor = units[:, None] * rng.normal(size=(n, rng.integers(1, n + 1)))
+    covariance = factor @ factor.T
+    S = square_root(covariance_matrix("P", covariance))
+    size = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(
+        S @ S.T / np.outer(size, size), covariance / np.outer(size, size), atol=1e-8
+    )
+
+
 # Wrappers
 
 
@@ -297,6 +397,77 @@ def test_disturbances_may_be_functions_of_the_state():
     np.testing.assert_allclose(run.states[1, :, -1], 1 - 0.4 / M * 4.0, atol=1e-8)
 
 
+def test_systems_without_inputs_and_plain_functions():
+    decay = sb.monte_carlo(lambda x: -x, [1.0], number=3, period=0.1, duration=1.05, samples=2)
+    assert decay.controls is None and decay.states.shape == (1, 3, 23)
+    np.testing.assert_allclose(decay.times, np.arange(23) * 0.05)
+    np.testing.assert_allclose(decay.states[0, 1], np.exp(-decay.times), rtol=1e-7)
+    pushed = sb.monte_carlo(
+        lambda x: -x, [1.0], number=4000, period=0.05, duration=3.0, method="rk4",
+        disturbance=sb.HeldNoise.white(Q, 0.05, seed=3),
+    )  # fmt: skip
+    Ad = np.exp(-0.05)
+    variance = Q / 0.05 * (1 - Ad) ** 2 * (1 - Ad**120) / (1 - Ad**2)
+    assert sb.consistency(pushed.states[:, :, -1] - np.exp(-3.0), variance) > ALARM
+    assert pushed.input_labels == ("w[0]",)
+    starts = np.array([[1.0, 2.0]])
+    halved = sb.monte_carlo(control.ss(0.5, [[0.0]], 1, 0, 1.0), starts, number=2, period=1.0,
+                            duration=3.0)  # fmt: skip
+    np.testing.assert_allclose(halved.states[:, :, -1], starts / 8)
+
+
+@pytest.mark.parametrize(
+    "policy",
+    [
+        lambda x, t: 1 - x[0],
+        lambda x, t: 1 - x[:1],
+        [1.0],
+        1.0,
+        sb.ControlTrajectory.piecewise_constant([0, 2], [1.0]),
+    ],
+)
+def test_plain_functions_learn_their_inputs_from_the_policy(policy):
+    run = sb.monte_carlo(
+        lambda x, u: [x[1], u[0] / M], [0.0, 0.0], policy, number=3, period=0.1, duration=1.0
+    )
+    known = sb.monte_carlo(sb.Particle(m=M), [0.0, 0.0], policy, number=3, period=0.1, duration=1.0)
+    np.testing.assert_allclose(run.states, known.states, atol=1e-9)
+    two = sb.monte_carlo(
+        lambda x, u: u, [0.0, 0.0], lambda x, t: [1.0, 2.0], number=3, period=0.1, duration=1.0
+    )
+    np.testing.assert_allclose(two.states[:, 1, -1], [1.0, 2.0])
+
+
+def test_tolerances_are_passed_on():
+    def error(**tolerances):
+        run = sb.monte_carlo(
+            sb.Oscillator(), [1.0, 0.0], number=1, period=5.0, duration=5.0, **tolerances
+        )
+        return abs(run.states[0, 0, -1] - np.cos(5.0))
+
+    coarse, default, fine = error(rtol=1e-3, atol=1e-3), error(), error(rtol=1e-11, atol=1e-13)
+    assert 1e-6 < coarse and 1e-10 < default < 1e-6 and fine < 1e-9
+    loose = error(rtol=1e-12, atol=1e-3)
+    assert loose > default
+
+
+def test_wrapped_systems_and_policies_pickle():
+    noise = sb.HeldNoise(np.eye(2), 0.1, seed=1)
+    for policy in (
+        sb.with_measurement_error(np.add, noise),
+        sb.with_actuation_error(np.add, noise, gain=0.5),
+    ):
+        again = pickle.loads(pickle.dumps(policy))
+        x = np.ones((2, 3))
+        np.testing.assert_array_equal(again(x, 0.2), policy(x, 0.2))
+
+
+def test_seeds_of_a_generator_are_long():
+    generator = np.random.default_rng(4)
+    seeds = {sb.HeldNoise(1.0, 0.1, seed=generator).seed for _ in range(100)}
+    assert len(seeds) == 100 and max(seeds) > 2**100
+
+
 # Consistency
 
 
@@ -372,6 +543,14 @@ NOISE = sb.HeldNoise(1.0, 0.1, seed=1)
         (ValueError, "whole number of periods", lambda: skipping_noise()),
         (ValueError, "disturbance must have the 2", lambda: pushed_with(disturbance=NOISE)),
         (ValueError, "x0 must", lambda: pushed_with(x0=[0.0])),
+        (ValueError, r"x0 must .* \(n,\) or \(n, 3\)", lambda: pushed_with(x0=np.ones((2, 2)))),
+        (ValueError, "rtol must be greater than 0", lambda: pushed_with(rtol=0)),
+        (ValueError, "samples must be at least 1", lambda: pushed_with(samples=0)),
+        (ValueError, "period must be greater", lambda: pushed_with(period=0.0)),
+        (ValueError, "method must be one of", lambda: pushed_with(method="rk5")),
+        (TypeError, r"disturbance\(x, t\) must", lambda: pushed_with(disturbance="a", G=PUSH)),
+        (ValueError, "policy was given", lambda: undriven(policy=[1.0])),
+        (ValueError, "policy is required", lambda: undriven(lambda x, u: u)),
         (ValueError, "number must", lambda: pushed_with(number=0)),
         (ValueError, r"policy\(x, t\) must", lambda: pushed_with(policy=lambda x, t: [1, 2])),
         (TypeError, "noise must be a HeldNoise", lambda: sb.with_measurement_error(abs, 0.1)),
@@ -392,6 +571,10 @@ def pushed_with(x0=(0.0, 0.0), policy=None, number=3, period=0.1, **options):
     return sb.monte_carlo(
         sb.Particle(), x0, policy, number=number, period=period, duration=1.0, **options
     )
+
+
+def undriven(system=lambda x: -x, policy=None):
+    return sb.monte_carlo(system, [1.0], policy, number=2, period=0.1, duration=1.0)
 
 
 def skipping_noise():
