@@ -9,7 +9,7 @@ import numpy as np
 
 from statebook import _validate
 
-_ROUNDING = 1e-10  # of a correlation
+_ROUNDING = 1e-10  # of an eigenvalue or a correlation
 # Of exp(A h) with |A| h < 1/2, these leave less than rounding.
 _SHORT = 0.5
 _NODES = 8  # of Gauss-Legendre quadrature: exact up to degree 15
@@ -54,8 +54,9 @@ def covariance_matrix(name: str, value: Any, size: int | None = None) -> np.ndar
 def square_root(matrix: np.ndarray) -> np.ndarray:
     """Return a root S of a covariance, S S' = matrix; it may be singular.
 
-    S = D C, with the standard deviations D and C the symmetric root of the correlations: unlike
-    factors made of eigenvectors, it has no sign that could differ between machines.
+    The symmetric root; where that would lose small variances beside large ones, or the matrix is
+    singular, D C with the standard deviations D and the symmetric root C of the correlations.
+    Unlike factors made of eigenvectors, neither has a sign that could differ between machines.
 
     Parameters
     ----------
@@ -70,6 +71,9 @@ def square_root(matrix: np.ndarray) -> np.ndarray:
     >>> square_root(np.array([[4.0, 0.0], [0.0, 0.0]])).tolist()
     [[2.0, 0.0], [0.0, 0.0]]
     """
+    values, vectors = np.linalg.eigh(matrix)
+    if values[0] > _ROUNDING * values[-1]:
+        return (vectors * np.sqrt(values)) @ vectors.T
     deviations = np.sqrt(np.diag(matrix))
     scale = np.where(deviations > 0, deviations, 1.0)
     values, vectors = np.linalg.eigh(matrix / scale[:, None] / scale)
