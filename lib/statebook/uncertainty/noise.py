@@ -284,7 +284,7 @@ def discretize_noise(A: Any, G: Any, intensity: Any, dt: float) -> np.ndarray:
             root = np.hstack([root + D @ root, root])
             if not np.isfinite(root).all():
                 break
-            root = np.linalg.qr(root.T, mode="r").T
+            root = np.asarray(np.linalg.qr(root.T, mode="r")).T
             D = 2 * D + D @ D
         Qd = root @ root.T
     if not np.isfinite(Qd).all():
