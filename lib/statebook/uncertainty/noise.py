@@ -48,7 +48,7 @@ def covariance_matrix(name: str, value: Any, size: int | None = None) -> np.ndar
     if matrix.shape != (n, n) or n == 0:
         wanted = "(n, n)" if size is None else f"({n}, {n})"
         raise ValueError(f"{name} must be a covariance of shape {wanted}, got {matrix.shape}")
-    return _validate.semidefinite(name, matrix)
+    return _validate.semidefinite(name, matrix, ": a variance cannot be negative")
 
 
 def square_root(matrix: np.ndarray) -> np.ndarray:
