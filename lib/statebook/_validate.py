@@ -153,7 +153,7 @@ def is_discrete(dt: float | bool | None) -> bool:
 _ROUNDING = 1e-10  # of an entry, once the diagonal is scaled to 1
 
 
-def semidefinite(name: str, matrix: np.ndarray) -> np.ndarray:
+def semidefinite(name: str, matrix: np.ndarray, why: str = "") -> np.ndarray:
     """Return a real square array as an exactly symmetric, positive semidefinite one.
 
     Judged with the diagonal scaled to 1: a small entry beside a large one counts as much.
@@ -161,7 +161,7 @@ def semidefinite(name: str, matrix: np.ndarray) -> np.ndarray:
     diagonal, largest = np.diag(matrix), float(np.abs(matrix).max(initial=0.0))
     if diagonal.min(initial=0.0) < -4 * np.finfo(float).eps * largest:
         raise ValueError(
-            f"{name} must be positive semidefinite, got {diagonal.min():.4g} on its diagonal"
+            f"{name} must be positive semidefinite{why}, got {diagonal.min():.4g} on its diagonal"
         )
     scale = np.sqrt(np.where(diagonal > 0, diagonal, largest or 1.0))
     scaled = matrix / scale[:, None] / scale
@@ -172,9 +172,9 @@ def semidefinite(name: str, matrix: np.ndarray) -> np.ndarray:
         )
     lowest = np.linalg.eigvalsh((scaled + scaled.T) / 2).min(initial=0.0)
     if lowest < -len(matrix) * _ROUNDING:
+        scaled_to = "" if np.all(scale == 1) else " once its diagonal is scaled to 1"
         raise ValueError(
-            f"{name} must be positive semidefinite, got {matrix.tolist()}: with its diagonal "
-            f"scaled to 1 it has the eigenvalue {lowest:.4g}"
+            f"{name} must be positive semidefinite{why}, got the eigenvalue {lowest:.4g}{scaled_to}"
         )
     result = (matrix + matrix.T) / 2
     np.fill_diagonal(result, np.maximum(diagonal, 0.0))

@@ -135,6 +135,7 @@ def unmoved(A: np.ndarray, B: np.ndarray, discrete: bool) -> list[complex]:
     """
     values = np.linalg.eigvals(A)
     norm = np.linalg.norm(np.hstack([A, B]))
+    edge: np.ndarray
     if discrete:
         beyond, edge = np.abs(values) - 1, values / np.where(values == 0, 1, np.abs(values))
         corners = [1.0, -1.0]

@@ -121,7 +121,7 @@ def monte_carlo(
         w = disturbance(t, number) if held else control_of(disturbance, x, t, q, "disturbance")
         return np.concatenate([u, w])
 
-    options = {"method": method, "rtol": rtol, "atol": atol}
+    options: dict[str, Any] = {"method": method, "rtol": rtol, "atol": atol}
     if disturbed.m:
         run = simulate_clocked(
             disturbed, start, inputs, period=period, duration=duration, samples=samples, **options

@@ -48,7 +48,7 @@ def covariance_matrix(name: str, value: Any, size: int | None = None) -> np.ndar
     if matrix.shape != (n, n) or n == 0:
         wanted = "(n, n)" if size is None else f"({n}, {n})"
         raise ValueError(f"{name} must be a covariance of shape {wanted}, got {matrix.shape}")
-    return _validate.semidefinite(name, matrix)
+    return _validate.semidefinite(name, matrix, ": a variance cannot be negative")
 
 
 def square_root(matrix: np.ndarray) -> np.ndarray:
@@ -284,7 +284,7 @@ def discretize_noise(A: Any, G: Any, intensity: Any, dt: float) -> np.ndarray:
             root = np.hstack([root + D @ root, root])
             if not np.isfinite(root).all():
                 break
-            root = np.linalg.qr(root.T, mode="r").T
+            root = np.asarray(np.linalg.qr(root.T, mode="r")).T
             D = 2 * D + D @ D
         Qd = root @ root.T
     if not np.isfinite(Qd).all():
