@@ -6,7 +6,7 @@ from typing import Any
 
 from statebook import _validate
 from statebook.verdict.level_sets import boundary_distance
-from statebook.verdict.stability import ASYMPTOTICALLY_STABLE, judge
+from statebook.verdict.judgement import ASYMPTOTICALLY_STABLE, judge
 
 
 def distance_to_instability(A: Any, *, dt: float | bool | None = None) -> float:

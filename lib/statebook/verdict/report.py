@@ -56,6 +56,10 @@ class StabilityReport:
     spectral_margin : float
         ``-max Re`` in continuous time [1/s], ``1 - max abs`` in discrete time: positive if all
         eigenvalues are inside, 0 on the boundary, negative beyond; inf if there are none.
+    tolerance : float
+        How far rounding may move the margin, in its units: the true one is within it; 0 where
+        the verdict is exact. Of eigenvalues that rounding blurs into one it is that of their
+        mean.
     reason : str
         What was judged, and why.
     modes : tuple of Mode
@@ -69,6 +73,7 @@ class StabilityReport:
     verdict: str
     eigenvalues: np.ndarray
     spectral_margin: float
+    tolerance: float
     reason: str
     modes: tuple[Mode, ...]
     dt: float | bool | None

@@ -17,8 +17,8 @@ from statebook.runge_kutta import (
     as_tableau,
 )
 from statebook.sampling import one_step, pair
-from statebook.verdict.clusters import EPS
-from statebook.verdict.stability import ASYMPTOTICALLY_STABLE, UNSTABLE, judge
+from statebook.verdict.blocks import EPS
+from statebook.verdict.judgement import ASYMPTOTICALLY_STABLE, UNSTABLE, judge
 
 # Polynomial coefficients below this share of their terms are rounding of a zero.
 _CANCELLED = 64 * EPS

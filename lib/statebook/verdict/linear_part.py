@@ -1,0 +1,98 @@
+"""The matrix that is judged: as it is, a system's own, or a Jacobian at an equilibrium."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from statebook import _validate
+from statebook.derivatives import derivative
+from statebook.linearization import linearize
+from statebook.systems import System, as_system
+from statebook.verdict.blocks import EPS
+
+
+@dataclass(frozen=True)
+class LinearPart:
+    """Matrices with what is known of them.
+
+    Attributes
+    ----------
+    A : array, shape (n, n)
+    B : array, shape (n, m), or None
+        None beside a bare matrix.
+    given : object
+        A as the caller wrote it, where it was not computed here.
+    precision : float
+        Relative error of A.
+    dt : float, bool or None
+    states : tuple of str
+    linear : bool
+        A is the whole system, and not a Jacobian.
+    system : System or None
+        What A was computed from.
+    """
+
+    A: np.ndarray
+    B: np.ndarray | None
+    given: Any
+    precision: float
+    dt: float | bool | None
+    states: tuple[str, ...]
+    linear: bool
+    system: System | None = None
+
+
+def linear_part(
+    system_or_A: Any, x0: Any = None, u0: Any = None, *, dt: float | bool | None = None
+) -> LinearPart:
+    """Return the matrix of a matrix, a linear system or an equilibrium.
+
+    Parameters
+    ----------
+    system_or_A, x0, u0, dt
+        As `stability` takes them.
+
+    Returns
+    -------
+    LinearPart
+
+    Raises
+    ------
+    NotAnEquilibriumError, TypeError, ValueError
+        As `stability` does.
+    """
+    if isinstance(system_or_A, np.ndarray | list | tuple) or np.isscalar(system_or_A):
+        if x0 is not None or u0 is not None:
+            raise ValueError("x0 and u0 belong to a nonlinear system; a matrix takes neither")
+        A = _validate.square("system_or_A", system_or_A)
+        states = tuple(f"x[{i}]" for i in range(len(A)))
+        return LinearPart(A, None, system_or_A, EPS, dt, states, True)
+    import control
+
+    if dt is not None:
+        _validate.is_discrete(dt)
+    view = as_system(system_or_A, x0, u0, dt=dt)
+    if isinstance(view.source, control.StateSpace):
+        if x0 is not None:  # any point will do, but not a point of another space
+            _validate.array("x0", x0, (view.n,))
+        A, B = np.asarray(view.source.A), np.asarray(view.source.B)
+        return LinearPart(A, B, A, EPS, view.dt, view.states, True)
+    if x0 is None:
+        if not view.linear:
+            raise ValueError(
+                "x0 is required: a nonlinear system's stability is that of one of its equilibria"
+            )
+        x0 = np.zeros(view.n)
+    linear = linearize(view, x0, u0)
+    A, B = np.asarray(linear.A), np.asarray(linear.B)[:, : view.m]
+    u = np.zeros(view.m) if u0 is None else np.asarray(u0, dtype=float)
+    _, error = derivative(
+        lambda x: view.probe(x, np.repeat(u[:, None], x.shape[1], axis=1)),
+        np.asarray(x0, dtype=float)[:, None],
+    )
+    size = float(np.linalg.norm(A))
+    precision = max(EPS, float(np.linalg.norm(error)) / size) if size > 0 else EPS
+    return LinearPart(A, B, None, precision, view.dt, view.states, view.linear, view)
