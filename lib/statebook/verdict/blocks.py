@@ -18,6 +18,19 @@ def rounding(norm: float, n: int, precision: float = EPS) -> float:
     return 8 * n * precision * norm
 
 
+def inverse(V: np.ndarray) -> np.ndarray:
+    """Inverse of V; rows that depend on one another come out huge, and are not refused."""
+    try:
+        X = np.linalg.inv(V)
+    except np.linalg.LinAlgError:
+        X = np.full(V.shape, np.inf)
+    # Beyond this it is a number without digits, and could overflow.
+    if not np.abs(X).max() < 1 / EPS**4:
+        U, s, Vh = np.linalg.svd(V)
+        X = (Vh.conj().T / np.maximum(s, EPS**4)) @ U.conj().T
+    return X
+
+
 def spectral_norm(A: np.ndarray) -> float:
     """Largest singular value."""
     return float(np.linalg.svd(A, compute_uv=False)[0]) if A.size else 0.0
@@ -52,6 +65,14 @@ class Block:
     def norm(self) -> float:
         """The 2-norm of the balanced block."""
         return spectral_norm(self.matrix)
+
+    @cached_property
+    def modes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Eigenvectors of T, and the inverse of their matrix."""
+        if len(self.T) == 1:
+            return np.eye(1), np.eye(1)
+        vectors = np.linalg.eig(self.T)[1]
+        return vectors, inverse(vectors)
 
     def tolerance(self, discrete: bool) -> float:
         """Rounding of the block; a map has the size of the unit circle at least."""

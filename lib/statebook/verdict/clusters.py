@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from statebook.verdict.blocks import EPS, Block, assemble, rounding, spectral_norm
+from statebook.verdict.blocks import Block, assemble, inverse, rounding, spectral_norm
 from statebook.verdict.level_sets import boundary_distance, margin, project
 
 TINY = float(np.finfo(float).tiny)
@@ -83,20 +83,22 @@ def clusters(blocks: list[Block], discrete: bool) -> tuple[np.ndarray, list[Clus
     """
     spreads, found = [], []
     for number, block in enumerate(blocks):
-        margins = np.abs(margin(block.T.diagonal(), discrete))
-        spread = np.empty(len(margins))
-        for group in separated(block, block.tolerance(discrete)):
-            if len(group.members) == 1 and margins[group.members[0]] > group.radius:
-                spread[group.members] = group.radius
-                continue
+        tol = block.tolerance(discrete)
+        spread, groups = separated(block, tol, np.abs(margin(block.T.diagonal(), discrete)))
+        for group in groups:
             found.append(_judged(number, block, group, discrete))
             spread[group.members] = found[-1].spread
         spreads.append(spread)
     return np.concatenate(spreads), found
 
 
-def separated(block: Block, tol: float) -> list[Group]:
+def separated(
+    block: Block, tol: float, margins: np.ndarray
+) -> tuple[np.ndarray, list[Group]]:
     """Smallest groups of eigenvalues that every perturbation up to tol keeps apart.
+
+    It returns how far each eigenvalue may move, and those groups that are not one eigenvalue
+    with a larger margin than that.
 
     Let V hold orthonormal bases of k invariant subspaces. In X (A + E) V with X the inverse
     of V the rows of group i in X E V are at most ``k tol norm(X_i)``, and norm(X_i) is the
@@ -105,24 +107,28 @@ def separated(block: Block, tol: float) -> list[Group]:
     where ``sigma_min(T_i - z I) <= 2 tol norm(X_i)``.
     """
     n = len(block.index)
-    if n == 1:
-        return [Group(np.array([0]), np.eye(1), np.eye(1), block.T, tol)]
+    vectors, dual = block.modes
+    values, sensitivity = block.T.diagonal(), np.linalg.norm(dual, axis=1)
+    radius = min(n, 2) * tol * sensitivity
+    means, reach = values, n * radius
+    distance = np.abs(means[:, None] - means)
+    np.fill_diagonal(distance, np.inf)
+    meet = distance <= reach[:, None] + reach
+    if not meet.any():
+        return radius, [
+            Group(
+                np.array([i]),
+                block.Q @ vectors[:, i : i + 1],
+                dual[i : i + 1] @ block.Q.conj().T,
+                values[i : i + 1, None],
+                float(radius[i]),
+            )
+            for i in np.flatnonzero(margins <= radius)
+        ]
     members = [np.array([i]) for i in range(n)]
-    V = block.Q @ np.linalg.eig(block.T)[1]
-    bases, parts = np.hsplit(V, n), [block.T[i : i + 1, i : i + 1] for i in range(n)]
-    while True:
-        k = len(members)
-        duals = np.split(_inverse(np.hstack(bases)), np.cumsum([len(m) for m in members])[:-1])
-        sensitivity = np.array([_size(dual) for dual in duals])
-        means = np.array([T.trace() / len(T) for T in parts])
-        reach = np.array(
-            [_reach(*pair) for pair in zip(parts, 2 * k * tol * sensitivity, strict=True)]
-        )
-        distance = np.abs(means[:, None] - means)
-        np.fill_diagonal(distance, np.inf)
-        meet = distance <= reach[:, None] + reach
-        if not meet.any():
-            break
+    bases, duals = np.hsplit(block.Q @ vectors, n), np.vsplit(dual @ block.Q.conj().T, n)
+    parts = np.hsplit(values[None, :], n)
+    while meet.any():
         # Of two that meet, the more sensitive one is joined with what is nearest to it.
         blurred = (meet & (sensitivity[:, None] >= sensitivity)).any(axis=1)
         nearest = distance <= _AS_NEAR * distance.min(axis=1, keepdims=True)
@@ -137,21 +143,22 @@ def separated(block: Block, tol: float) -> list[Group]:
             for i, m in zip(kept, members, strict=True)
         ]
         bases, parts = [pair[0] for pair in new], [pair[1] for pair in new]
-    radius = min(k, 2) * tol * sensitivity
-    return [Group(*group) for group in zip(members, bases, duals, parts, radius, strict=True)]
-
-
-def _size(rows: np.ndarray) -> float:
-    return float(np.linalg.norm(rows)) if len(rows) == 1 else spectral_norm(rows)
-
-
-def _inverse(V: np.ndarray) -> np.ndarray:
-    """Inverse of V; rows that depend on one another are huge, and not refused."""
-    try:
-        return np.linalg.inv(V)
-    except np.linalg.LinAlgError:
-        U, s, Vh = np.linalg.svd(V)
-        return (Vh.conj().T / np.maximum(s, EPS**2)) @ U.conj().T
+        places = np.cumsum([len(m) for m in members])[:-1]
+        duals = np.split(inverse(np.hstack(bases)), places)
+        sensitivity = np.array([spectral_norm(dual) for dual in duals])
+        means = np.array([T.diagonal().mean() for T in parts])
+        sizes = 2 * count * tol * sensitivity
+        reach = np.array([_reach(*pair) for pair in zip(parts, sizes, strict=True)])
+        distance = np.abs(means[:, None] - means)
+        np.fill_diagonal(distance, np.inf)
+        meet = distance <= reach[:, None] + reach
+    groups = []
+    for group in zip(members, bases, duals, parts, sensitivity, strict=True):
+        place, size = group[0], float(min(len(members), 2) * tol * group[-1])
+        radius[place] = size
+        if len(place) > 1 or margins[place[0]] <= size:
+            groups.append(Group(*group[:-1], size))
+    return radius, groups
 
 
 def _invariant(block: Block, members: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -209,7 +216,7 @@ def _judged(number: int, block: Block, group: Group, discrete: bool) -> Cluster:
             clear = couplings[-1] <= radius and couplings[-2] > _CLEAR * radius
         else:
             # A last digit of the matrix moves it by no more than rounding of the matrix.
-            clear = rounding(1.0, len(block.T), 1.0) >= _size(group.dual)
+            clear = rounding(1.0, len(block.T), 1.0) >= spectral_norm(group.dual)
     spread = radius if single else _reach(T, radius)
     return Cluster(number, group.members, point, side, single, defective, bool(clear), spread)
 
@@ -233,7 +240,7 @@ def _blur(block: Block, group: Group, discrete: bool) -> float:
     """
     size = np.abs(block.Q) @ np.abs(block.T) @ np.abs(block.Q).T
     moved = np.sum(np.abs(group.basis @ group.dual).T * size) / len(group.members)
-    moved = min(float(moved), block.norm * _size(group.dual))
+    moved = min(float(moved), block.norm * spectral_norm(group.dual))
     return rounding(max(moved, 1.0) if discrete else moved, len(block.T), block.precision) / 2
 
 
