@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from numbers import Number
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from statebook.derivatives import derivative
 from statebook.linearization import linearize
 from statebook.systems import System, as_system
 from statebook.verdict.blocks import EPS
+from statebook.verdict.exact import RationalMatrix, as_rational
 
 
 @dataclass(frozen=True)
@@ -23,8 +25,8 @@ class LinearPart:
     A : array, shape (n, n)
     B : array, shape (n, m), or None
         None beside a bare matrix.
-    given : object
-        A as the caller wrote it, where it was not computed here.
+    rational : RationalMatrix or None
+        A as the caller wrote it, where that is exact.
     precision : float
         Relative error of A.
     dt : float, bool or None
@@ -37,7 +39,7 @@ class LinearPart:
 
     A: np.ndarray
     B: np.ndarray | None
-    given: Any
+    rational: RationalMatrix | None
     precision: float
     dt: float | bool | None
     states: tuple[str, ...]
@@ -64,12 +66,13 @@ def linear_part(
     NotAnEquilibriumError, TypeError, ValueError
         As `stability` does.
     """
-    if isinstance(system_or_A, np.ndarray | list | tuple) or np.isscalar(system_or_A):
+    if hasattr(system_or_A, "tolist") or isinstance(system_or_A, list | tuple | str | Number):
         if x0 is not None or u0 is not None:
             raise ValueError("x0 and u0 belong to a nonlinear system; a matrix takes neither")
-        A = _validate.square("system_or_A", system_or_A)
+        rational = as_rational(system_or_A)
+        A = _validate.square("system_or_A", system_or_A) if rational is None else rational.floats()
         states = tuple(f"x[{i}]" for i in range(len(A)))
-        return LinearPart(A, None, system_or_A, EPS, dt, states, True)
+        return LinearPart(A, None, rational, EPS, dt, states, True)
     import control
 
     if dt is not None:
@@ -79,7 +82,7 @@ def linear_part(
         if x0 is not None:  # any point will do, but not a point of another space
             _validate.array("x0", x0, (view.n,))
         A, B = np.asarray(view.source.A), np.asarray(view.source.B)
-        return LinearPart(A, B, A, EPS, view.dt, view.states, True)
+        return LinearPart(A, B, None, EPS, view.dt, view.states, True)
     if x0 is None:
         if not view.linear:
             raise ValueError(

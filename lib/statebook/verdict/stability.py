@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from statebook import _validate
+from statebook.verdict.exact import LARGEST, RationalMatrix, as_rational, judge_exactly
 from statebook.verdict.judgement import judge
-from statebook.verdict.linear_part import linear_part
+from statebook.verdict.linear_part import LinearPart, linear_part
 from statebook.verdict.maps import sorting
 from statebook.verdict.report import StabilityReport, modes_of
 
@@ -14,7 +15,12 @@ INCONCLUSIVE = "inconclusive"
 
 
 def stability(
-    system_or_A: Any, x0: Any = None, u0: Any = None, *, dt: float | bool | None = None
+    system_or_A: Any,
+    x0: Any = None,
+    u0: Any = None,
+    *,
+    dt: float | bool | None = None,
+    exact: bool | None = None,
 ) -> StabilityReport:
     """Decide stability, and say why.
 
@@ -70,7 +76,11 @@ def stability(
     """
     part = linear_part(system_or_A, x0, u0, dt=dt)
     discrete = _validate.is_discrete(part.dt)
-    judgement = judge(part.A, discrete, precision=part.precision)
+    rational = _to_be_proved(part, exact)
+    if rational is not None:
+        judgement = judge_exactly(rational, discrete)
+    else:
+        judgement = judge(part.A, discrete, precision=part.precision)
     verdict = judgement.verdict
     if part.linear:
         subject = "matrix" if part.system is None else "state matrix"
@@ -88,3 +98,19 @@ def stability(
         verdict, eigenvalues, judgement.margin, judgement.tolerance, reason, modes, part.dt,
         part.states,
     )  # fmt: skip
+
+
+def _to_be_proved(part: LinearPart, exact: bool | None) -> RationalMatrix | None:
+    """Return the matrix in rational numbers if the verdict is to be exact."""
+    if exact not in (None, True, False):
+        raise TypeError(f"exact must be None, True or False, got {exact!r}")
+    if exact is None:
+        return part.rational if len(part.A) <= LARGEST else None
+    if not exact or len(part.A) == 0:
+        return None
+    if part.system is not None:
+        raise ValueError(
+            f"exact=True is for matrices and control.StateSpace: the derivatives of"
+            f" {part.system.name} are computed, and not exact; pass the matrix itself"
+        )
+    return part.rational or as_rational(part.A, floats=True)
