@@ -92,9 +92,7 @@ def clusters(blocks: list[Block], discrete: bool) -> tuple[np.ndarray, list[Clus
     return np.concatenate(spreads), found
 
 
-def separated(
-    block: Block, tol: float, margins: np.ndarray
-) -> tuple[np.ndarray, list[Group]]:
+def separated(block: Block, tol: float, margins: np.ndarray) -> tuple[np.ndarray, list[Group]]:
     """Smallest groups of eigenvalues that every perturbation up to tol keeps apart.
 
     It returns how far each eigenvalue may move, and those groups that are not one eigenvalue

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import scipy
 
+from statebook.verdict.level_sets import margin, project
 from statebook.verdict.judgement import (
     ASYMPTOTICALLY_STABLE,
     MARGINALLY_STABLE,
@@ -22,7 +23,9 @@ from statebook.verdict.judgement import (
 
 # Beyond this the numbers become long: seconds turn into minutes.
 LARGEST = 30
-_DIGITS = (20, 80, 320)
+_DIGITS = (20, 80, 320, 1280)
+# An eigenvalue farther from the boundary than this, relatively, is beyond doubt there.
+_CERTAIN = 1e-6
 
 
 @dataclass(frozen=True)
@@ -154,32 +157,60 @@ def judge_exactly(matrix: RationalMatrix, discrete: bool) -> Judgement:
     if n == 0:
         return judged
     M, unit, factors = _factors(matrix)
+    counts = [_count(factor, discrete) for factor, _ in factors]
+    total = sum(m * np.array(count) for count, (_, m) in zip(counts, factors, strict=True))
+    total = total * n // total.sum()  # complex matrices are judged beside their conjugates
+    values, margins = _placed(judged.eigenvalues, total, discrete) or _computed(
+        judged.eigenvalues, factors, counts, discrete
+    )
+    jordan: list[complex] = []
+    for factor, multiplicity in factors if total[2] == 0 else []:
+        if multiplicity > 1:
+            jordan += _jordan_points(M, unit, factor, multiplicity, values, discrete)
+    if total[2] or jordan:
+        verdict = UNSTABLE
+    else:
+        verdict = MARGINALLY_STABLE if total[1] else ASYMPTOTICALLY_STABLE
+    size = float(margins.min())
+    worst = np.array(jordan) if jordan else values[margins == size]
+    reason = explain(verdict, worst, size, 0.0, values, discrete, exact=True)
+    reason += " Proved in exact arithmetic."
+    return Judgement(verdict, reason, values, judged.participations, size, jordan=tuple(jordan))
+
+
+def _placed(
+    values: np.ndarray, count: np.ndarray, discrete: bool
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Eigenvalues in double precision and their margins, if they agree with the exact count."""
+    margins = margin(values, discrete)
+    nearest = np.argsort(np.abs(margins), kind="stable")
+    on, rest = nearest[: count[1]], nearest[count[1] :]
+    if np.any(np.abs(margins[rest]) <= _CERTAIN * np.abs(values).max()):
+        return None
+    if (np.sum(margins[rest] > 0), np.sum(margins[rest] < 0)) != (count[0], count[2]):
+        return None
+    values = values.copy()
+    values[on] = project(values[on], discrete)
+    margins[on] = 0.0
+    return values, margins
+
+
+def _computed(
+    guesses: np.ndarray,
+    factors: list[tuple[Any, int]],
+    counts: list[tuple[int, int, int]],
+    discrete: bool,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Eigenvalues as the roots of their polynomials, in the order of the guesses."""
     values: list[complex] = []
     margins: list[float] = []
-    jordan: list[complex] = []
-    for factor, multiplicity in factors:
-        count = _count(factor, discrete)
-        roots, distances = _roots(factor, count, discrete)
+    for (factor, multiplicity), count in zip(factors, counts, strict=True):
+        roots, distances = _roots(factor, guesses, count, discrete)
         values += roots * multiplicity
         margins += distances * multiplicity
-        if multiplicity > 1 and count[1]:
-            jordan += _jordan_points(M, unit, factor, multiplicity, discrete)
-    if count[2]:
-        jordan = []
-    # Complex matrices are judged beside their conjugates: each eigenvalue finds its own.
-    distance = np.abs(judged.eigenvalues[:, None] - np.array(values))
+    distance = np.abs(guesses[:, None] - np.array(values))
     _, order = scipy.optimize.linear_sum_assignment(distance)
-    eigenvalues, ours = np.array(values)[order], np.array(margins)[order]
-    size = float(ours.min())
-    jordan = [] if size < 0 else [point for point in jordan if point in eigenvalues]
-    worst = np.array(jordan) if jordan else eigenvalues[ours == size]
-    verdict = MARGINALLY_STABLE if size == 0 else ASYMPTOTICALLY_STABLE
-    verdict = UNSTABLE if size < 0 or jordan else verdict
-    reason = explain(verdict, worst, size, 0.0, eigenvalues, discrete, exact=True)
-    reason += " Proved in exact arithmetic."
-    return Judgement(
-        verdict, reason, eigenvalues, judged.participations, size, jordan=tuple(jordan)
-    )
+    return np.array(values)[order], np.array(margins)[order]
 
 
 def _factors(matrix: RationalMatrix) -> tuple[Any, int, list[tuple[Any, int]]]:
@@ -217,9 +248,7 @@ def _on_line(factor: Any) -> Any:
     """The polynomial in s of the roots z = (1 + s) / (1 - s); z = -1 is lost, at infinity."""
     x, degree = factor.gen, factor.degree()
     up, down = factor.one * x + 1, 1 - factor.one * x
-    terms = (
-        c * up**k * down ** (degree - k) for k, c in enumerate(reversed(factor.all_coeffs()))
-    )
+    terms = (c * up**k * down ** (degree - k) for k, c in enumerate(reversed(factor.all_coeffs())))
     return sum(terms, factor.zero)
 
 
@@ -248,9 +277,7 @@ def _turns(p: Any) -> int:
     parts = []
     for start in (0, 1):
         # i^k is (-1)^(k // 2), times i in the imaginary part.
-        part = [
-            c * (-1) ** (k // 2) if k % 2 == start else 0 for k, c in enumerate(coefficients)
-        ]
+        part = [c * (-1) ** (k // 2) if k % 2 == start else 0 for k, c in enumerate(coefficients)]
         parts.append(p.from_list(part[::-1], p.gen, domain="QQ"))
     odd = p.degree() % 2
     # Where p.degree() is odd the imaginary part has it, and the cotangent is counted.
@@ -267,45 +294,55 @@ def _turns(p: Any) -> int:
 
 
 def _roots(
-    factor: Any, count: tuple[int, int, int], discrete: bool
+    factor: Any, guesses: np.ndarray, count: tuple[int, int, int], discrete: bool
 ) -> tuple[list[complex], list[float]]:
     """Roots and their margins, with as many digits as it takes to agree with the count."""
     import mpmath
 
     coefficients = [int(c) for c in factor.all_coeffs()]
-    on = count[1]
     for digits in _DIGITS:
         with mpmath.workdps(digits):
+            starts = sorted(
+                map(mpmath.mpmathify, guesses.tolist()),
+                key=lambda z: abs(mpmath.polyval(coefficients, z)),
+            )[: factor.degree()]
+            apart = mpmath.mpf(1e-6) * max(map(abs, starts)) + mpmath.mpf(1e-30)
+            starts = [z + k * apart * (1 + 0.1j) for k, z in enumerate(starts)]
             try:
-                roots = mpmath.polyroots(coefficients, maxsteps=500, extraprec=4 * digits)
+                roots = mpmath.polyroots(
+                    coefficients, maxsteps=300, extraprec=4 * digits, roots_init=starts
+                )
             except mpmath.libmp.NoConvergence:
                 continue
             margins = [1 - abs(root) if discrete else -mpmath.re(root) for root in roots]
             nearest = sorted(range(len(roots)), key=lambda k: abs(margins[k]))
-            for k in nearest[:on]:
+            for k in nearest[: count[1]]:
                 margins[k] = mpmath.mpf(0)
                 roots[k] = roots[k] / abs(roots[k]) if discrete else 1j * mpmath.im(roots[k])
             found = sum(m > 0 for m in margins), sum(m < 0 for m in margins)
-            values = [complex(root) for root in roots]
-            distances = [float(m) for m in margins]
-        if found == (count[0], count[2]) and all(distances[k] for k in nearest[on:]):
+        if found == (count[0], count[2]):
             break
-    return values, distances
+    else:
+        raise RuntimeError(
+            f"the eigenvalues were counted ({count[0]} inside, {count[1]} on the boundary,"
+            f" {count[2]} beyond) but not found with {_DIGITS[-1]} digits; use exact=False"
+        )
+    # A margin that underflows keeps its sign.
+    distances = [float(m) or float(mpmath.sign(m)) * 5e-324 for m in margins]
+    return [complex(root) for root in roots], distances
 
 
 def _jordan_points(
-    M: Any, unit: int, factor: Any, multiplicity: int, discrete: bool
+    M: Any, unit: int, factor: Any, multiplicity: int, values: np.ndarray, discrete: bool
 ) -> list[complex]:
-    """Boundary roots of a factor of the characteristic polynomial with Jordan blocks."""
+    """Boundary eigenvalues, roots of a factor that has none beyond, with Jordan blocks."""
     common = factor.gcd(_mirrored(factor, discrete))
-    points = []
+    points: list[complex] = []
     for irreducible, _ in common.factor_list()[1]:
-        _, on, _ = _count(irreducible, discrete)
         degree = irreducible.degree()
-        if on == 0 or _nullity(irreducible, M, unit) == multiplicity * degree:
-            continue
-        roots, margins = _roots(irreducible, _count(irreducible, discrete), discrete)
-        points += [root for root, m in zip(roots, margins, strict=True) if m == 0]
+        if degree and _nullity(irreducible, M, unit) < multiplicity * degree:
+            roots, _ = _roots(irreducible, values, (0, degree, 0), discrete)
+            points += [z for z in values if np.abs(np.array(roots) - z).min() <= 1e-6 * abs(z)]
     return points
 
 

@@ -70,7 +70,7 @@ def linear_part(
         if x0 is not None or u0 is not None:
             raise ValueError("x0 and u0 belong to a nonlinear system; a matrix takes neither")
         rational = as_rational(system_or_A)
-        A = _validate.square("system_or_A", system_or_A) if rational is None else rational.floats()
+        A = _as_floats(system_or_A) if rational is None else rational.floats()
         states = tuple(f"x[{i}]" for i in range(len(A)))
         return LinearPart(A, None, rational, EPS, dt, states, True)
     import control
@@ -99,3 +99,13 @@ def linear_part(
     size = float(np.linalg.norm(A))
     precision = max(EPS, float(np.linalg.norm(error)) / size) if size > 0 else EPS
     return LinearPart(A, B, None, precision, view.dt, view.states, view.linear, view)
+
+
+def _as_floats(matrix: Any) -> np.ndarray:
+    try:
+        return _validate.square("system_or_A", matrix)
+    except TypeError:  # fractions or SymPy's numbers, and floats among them
+        rational = as_rational(matrix, floats=True)
+        if rational is None:
+            raise
+        return rational.floats()
