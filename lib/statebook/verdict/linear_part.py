@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from numbers import Number
 from typing import Any
 
@@ -34,7 +34,8 @@ class LinearPart:
     linear : bool
         A is the whole system, and not a Jacobian.
     system : System or None
-        What A was computed from.
+        What A was computed from, at x0 and u0.
+    x0, u0 : array, shape (n,) and (m,)
     """
 
     A: np.ndarray
@@ -45,6 +46,8 @@ class LinearPart:
     states: tuple[str, ...]
     linear: bool
     system: System | None = None
+    x0: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    u0: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
 def linear_part(
@@ -91,14 +94,14 @@ def linear_part(
         x0 = np.zeros(view.n)
     linear = linearize(view, x0, u0)
     A, B = np.asarray(linear.A), np.asarray(linear.B)[:, : view.m]
+    x = np.asarray(x0, dtype=float)
     u = np.zeros(view.m) if u0 is None else np.asarray(u0, dtype=float)
     _, error = derivative(
-        lambda x: view.probe(x, np.repeat(u[:, None], x.shape[1], axis=1)),
-        np.asarray(x0, dtype=float)[:, None],
+        lambda x: view.probe(x, np.repeat(u[:, None], x.shape[1], axis=1)), x[:, None]
     )
     size = float(np.linalg.norm(A))
     precision = max(EPS, float(np.linalg.norm(error)) / size) if size > 0 else EPS
-    return LinearPart(A, B, None, precision, view.dt, view.states, view.linear, view)
+    return LinearPart(A, B, None, precision, view.dt, view.states, view.linear, view, x, u)
 
 
 def _as_floats(matrix: Any) -> np.ndarray:

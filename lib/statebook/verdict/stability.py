@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from statebook import _validate
 from statebook.verdict.exact import LARGEST, RationalMatrix, as_rational, judge_exactly
-from statebook.verdict.judgement import judge
+from statebook.verdict.families import family_of
+from statebook.verdict.judgement import UNSTABLE, Judgement, judge
 from statebook.verdict.linear_part import LinearPart, linear_part
 from statebook.verdict.maps import sorting
 from statebook.verdict.report import StabilityReport, modes_of
@@ -85,12 +88,10 @@ def stability(
     if part.linear:
         subject = "matrix" if part.system is None else "state matrix"
         reason = f"The {subject} in {'discrete' if discrete else 'continuous'} time: "
+        reason += judgement.reason
     else:
-        reason = "Lyapunov's indirect method, on the Jacobian matrix: "
-    reason += judgement.reason
-    if not part.linear and judgement.margin == 0:
-        verdict = INCONCLUSIVE
-        reason += " The linear part does not decide; the higher-order terms do."
+        verdict, reason = _of_equilibrium(part, judgement)
+        reason = "Lyapunov's indirect method, on the Jacobian matrix: " + reason
     order = sorting(judgement.eigenvalues)
     eigenvalues = judgement.eigenvalues[order]
     modes = modes_of(eigenvalues, judgement.participations[:, order], discrete, part.dt)
@@ -114,3 +115,29 @@ def _to_be_proved(part: LinearPart, exact: bool | None) -> RationalMatrix | None
             f" {part.system.name} are computed, and not exact; pass the matrix itself"
         )
     return part.rational or as_rational(part.A, floats=True)
+
+
+def _of_equilibrium(part: LinearPart, judgement: Judgement) -> tuple[str, str]:
+    """Verdict and reason where A is a Jacobian: silent on the boundary, but for families."""
+    if judgement.margin != 0 and not judgement.doubt:
+        return judgement.verdict, judgement.reason
+    assert part.system is not None
+    discrete = part.system.discrete
+    family = family_of(part.system, part.x0, part.u0, part.A, judgement)
+    if family is None:
+        if judgement.margin != 0:
+            return judgement.verdict, judgement.reason
+        silent = " The linear part does not decide; the higher-order terms do."
+        return INCONCLUSIVE, judgement.reason + silent
+    zero = "1" if discrete else "0"
+    k = family.dimension
+    where = f"the eigenvalue {zero} belongs to a family of equilibria of dimension {k}, followed"
+    where += " to a finite distance at this input; "
+    if family.drifts:
+        return UNSTABLE, where + "it has Jordan blocks all along, so the state drifts along it."
+    rest = "there are no others"
+    if np.isfinite(family.rest):
+        side = "inside the unit circle" if discrete else "to the left of the imaginary axis"
+        rest = f"all others lie {side}, by {family.rest:.4g} or more"
+    rest += ". The state stays near and comes to rest on the family, not where it was."
+    return f"stable, along a family of dimension {k}", where + rest
