@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from statebook.derivatives import InexactDerivativeWarning
-from statebook.errors import KinkError, NotAnEquilibriumError
 from statebook.linearization import linearize
 from statebook.systems import System
 from statebook.verdict.judgement import Judgement, judge
@@ -128,7 +127,7 @@ def _continued(
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", InexactDerivativeWarning)
                 yield np.asarray(linearize(system, x, u).A)
-        except (NotAnEquilibriumError, KinkError, ValueError, ArithmeticError):
+        except Exception:  # no equilibrium there, or whatever a function raises off its domain
             yield None
 
 

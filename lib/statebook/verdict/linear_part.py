@@ -104,6 +104,16 @@ def linear_part(
     return LinearPart(A, B, None, precision, view.dt, view.states, view.linear, view, x, u)
 
 
+def continuous_part(system_or_A: Any, x0: Any = None, u0: Any = None) -> LinearPart:
+    """Return the matrix of a system in continuous time; one in discrete time is refused."""
+    part = linear_part(system_or_A, x0, u0)
+    if _validate.is_discrete(part.dt):
+        raise ValueError(
+            f"system_or_A must be in continuous time, got a system with dt = {part.dt}"
+        )
+    return part
+
+
 def _as_floats(matrix: Any) -> np.ndarray:
     try:
         return _validate.square("system_or_A", matrix)
