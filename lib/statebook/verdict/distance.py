@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from statebook import _validate
-from statebook.verdict.level_sets import boundary_distance
 from statebook.verdict.judgement import ASYMPTOTICALLY_STABLE, judge
+from statebook.verdict.level_sets import boundary_distance
 from statebook.verdict.linear_part import linear_part
 
 

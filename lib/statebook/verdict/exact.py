@@ -5,13 +5,13 @@ from __future__ import annotations
 import numbers
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import pairwise
 from math import lcm
 from typing import Any
 
 import numpy as np
 import scipy
 
-from statebook.verdict.level_sets import margin, project
 from statebook.verdict.judgement import (
     ASYMPTOTICALLY_STABLE,
     MARGINALLY_STABLE,
@@ -20,6 +20,7 @@ from statebook.verdict.judgement import (
     explain,
     judge,
 )
+from statebook.verdict.level_sets import margin, project
 
 # Beyond this the numbers become long: seconds turn into minutes.
 LARGEST = 30
@@ -158,7 +159,7 @@ def judge_exactly(matrix: RationalMatrix, discrete: bool) -> Judgement:
         return judged
     M, unit, factors = _factors(matrix)
     counts = [_count(factor, discrete) for factor, _ in factors]
-    total = sum(m * np.array(count) for count, (_, m) in zip(counts, factors, strict=True))
+    total = np.array(counts).T @ [multiplicity for _, multiplicity in factors]
     total = total * n // total.sum()  # complex matrices are judged beside their conjugates
     values, margins = _placed(judged.eigenvalues, total, discrete) or _computed(
         judged.eigenvalues, factors, counts, discrete
@@ -287,9 +288,7 @@ def _turns(p: Any) -> int:
     leading = [(q.LC() > 0, q.degree() % 2 == 1) for q in chain[:-1]]
     after = [positive for positive, _ in leading]
     before = [positive != flipped for positive, flipped in leading]
-    index = sum(a != b for a, b in zip(before, before[1:])) - sum(
-        a != b for a, b in zip(after, after[1:])
-    )
+    index = sum(a != b for a, b in pairwise(before)) - sum(a != b for a, b in pairwise(after))
     return index if odd else -index
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,8 +71,8 @@ def family_of(
     if semisimple and rest <= tolerance:
         return None
     for length in _LENGTHS:
-        found = list(_continued(system, x, u, length * null, back, scale))
-        if all(found_A is not None for found_A in found):
+        found = _continued(system, x, u, length * null, back, scale)
+        if found:
             break
     else:
         return None
@@ -111,14 +110,15 @@ def _continued(
     ways: np.ndarray,
     back: np.ndarray,
     scale: np.ndarray,
-) -> Iterator[np.ndarray | None]:
-    """Jacobians at equilibria some way off, both ways; None where there is no equilibrium.
+) -> list[np.ndarray]:
+    """Jacobians at equilibria some way off, both ways; none where one is missing.
 
     Directions are generic, since a cross of two lines has equilibria along its arms only.
     """
     rng = np.random.default_rng(0)
     directions = rng.normal(size=(ways.shape[1] + 1, ways.shape[1]))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    found = []
     for direction in [*directions, *-directions]:
         try:
             x = _returned(system, x0 + scale * (ways @ direction), u, back)
@@ -126,9 +126,10 @@ def _continued(
             x = np.where(np.abs(moved) > _ROUNDING * np.abs(moved).max(), x, x0)
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", InexactDerivativeWarning)
-                yield np.asarray(linearize(system, x, u).A)
+                found.append(np.asarray(linearize(system, x, u).A))
         except Exception:  # no equilibrium there, or whatever a function raises off its domain
-            yield None
+            return []
+    return found
 
 
 def _returned(system: System, x: np.ndarray, u: np.ndarray, back: np.ndarray) -> np.ndarray:

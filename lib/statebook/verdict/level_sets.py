@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import scipy
 
-
 # Level sets are taken this far below the best value, so that the sets are not empty by rounding.
 _BELOW = 1e-10
 # How far from the boundary, relative to the norm, an eigenvalue may lie and count as on it.
