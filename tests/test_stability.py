@@ -613,3 +613,26 @@ def test_bad_systems_are_refused():
         sb.stability(sb.Pendulum(), x0=[0.3, 0, 0])
     with pytest.raises(ValueError, match="a matrix takes neither"):
         sb.stability([[1.0]], x0=[0.0])
+
+
+@pytest.mark.parametrize("sizes", [(2, 2), (3, 3), (2, 3), (2, 3, 2)])
+def test_eigenvalue_map_notices_axes_in_a_wrong_order(sizes):
+    """Where sizes agree the shape alone says nothing: matrix axes first, or grids exchanged."""
+
+    def right(*p):
+        A = np.zeros((*p[0].shape, 2, 2))
+        A[..., 0, 1], A[..., 1, 0], A[..., 1, 1] = 1, -p[0], -p[1]
+        return A
+
+    def matrix_first(*p):
+        return np.moveaxis(right(*p), (-2, -1), (0, 1))
+
+    grids = [np.arange(1.0, 1 + size) for size in sizes]
+    assert sb.eigenvalue_map(right, *grids).shape == (*sizes, 2)
+    with pytest.raises(ValueError, match="function must return matrices of shape"):
+        sb.eigenvalue_map(matrix_first, *grids)
+    if sizes[0] == sizes[1]:
+        with pytest.raises(ValueError, match="function must return matrices of shape"):
+            sb.eigenvalue_map(lambda *p: right(*p).swapaxes(0, 1), *grids)
+    known = right(*np.meshgrid(*grids, indexing="ij"))  # a table is taken at its word
+    assert sb.eigenvalue_map(lambda *p: known, *grids).shape == (*sizes, 2)

@@ -66,7 +66,10 @@ def judge(
     if size < 0:
         verdict = UNSTABLE
         # One that is beyond for certain settles the matter.
-        doubt = not np.any(certain & (margins < 0))
+        beyond = certain & (margins < 0)
+        if len(blocks) > 1:
+            beyond &= -margins > _whole_rounding(A, blocks, discrete, precision)
+        doubt = not beyond.any()
     elif size == 0:
         shared = shared_jordan_points(A, blocks, found)
         jordan = [point for point, _ in shared]
@@ -81,7 +84,8 @@ def judge(
                 _too_close(A[np.ix_(index, index)], discrete, precision)
                 for index in weak_components(A)
             )
-            tolerance = max(tolerance, size) if doubt else tolerance
+            # Where the distance proves it the margin is no less certain.
+            tolerance = (max if doubt else min)(tolerance, size)
     there = np.array(jordan) if jordan else values[margins == size]
     reason = explain(verdict, there, size, tolerance, values, discrete)
     if doubt:
@@ -138,8 +142,8 @@ def _locate(
     return values, np.where(on_boundary, 0.0, margin(values, discrete)), certain
 
 
-def _too_close(A: np.ndarray, discrete: bool, precision: float) -> bool:
-    """Whether a stable matrix is within rounding of instability, in the best of units."""
+def _in_best_units(A: np.ndarray, discrete: bool) -> list[tuple[np.ndarray, float]]:
+    """A matrix that falls into no parts, in two choices of units, and the 2-norm in each."""
     blocks = decompose(A)
     if len(blocks) == 1:
         candidates = [blocks[0].matrix]
@@ -148,13 +152,28 @@ def _too_close(A: np.ndarray, discrete: bool, precision: float) -> bool:
             scipy.linalg.matrix_balance(A)[0],
             with_comparable_couplings(A, blocks, discrete),
         ]
+    floor = 1.0 if discrete else 0.0
+    return [(B, max(spectral_norm(B), floor)) for B in candidates]
 
-    def close(B: np.ndarray) -> bool:
-        norm = max(spectral_norm(B), 1.0 if discrete else 0.0)
-        tol = rounding(norm, len(B), precision)
-        return boundary_distance(B, discrete, tol) <= tol
 
-    return all(close(B) for B in candidates)
+def _too_close(A: np.ndarray, discrete: bool, precision: float) -> bool:
+    """Whether a stable matrix is within rounding of instability, in the best of units."""
+    return all(
+        boundary_distance(B, discrete, rounding(norm, len(B), precision))
+        <= rounding(norm, len(B), precision)
+        for B, norm in _in_best_units(A, discrete)
+    )
+
+
+def _whole_rounding(
+    A: np.ndarray, blocks: list[Block], discrete: bool, precision: float
+) -> np.ndarray:
+    """Rounding, for each eigenvalue, of all that its block is coupled to, in the best of units."""
+    size = np.zeros(len(A))
+    for index in weak_components(A):
+        units = _in_best_units(A[np.ix_(index, index)], discrete)
+        size[index] = rounding(min(norm for _, norm in units), len(index), precision)
+    return size[np.concatenate([block.index for block in blocks])]
 
 
 def _participations(A: np.ndarray, blocks: list[Block]) -> np.ndarray:
