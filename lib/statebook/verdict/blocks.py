@@ -74,6 +74,12 @@ class Block:
         vectors = np.linalg.eig(self.T)[1]
         return vectors, inverse(vectors)
 
+    @cached_property
+    def size(self) -> np.ndarray:
+        """Bound of the terms that make up each entry, where it is computed from T and Q."""
+        Q = np.abs(self.Q)
+        return Q @ np.abs(self.T) @ Q.T
+
     def tolerance(self, discrete: bool) -> float:
         """Rounding of the block; a map has the size of the unit circle at least."""
         norm = max(self.norm, 1.0) if discrete else self.norm

@@ -213,8 +213,9 @@ def _judged(number: int, block: Block, group: Group, discrete: bool) -> Cluster:
         if defective:
             clear = couplings[-1] <= radius and couplings[-2] > _CLEAR * radius
         else:
-            # A last digit of the matrix moves it by no more than rounding of the matrix.
-            clear = rounding(1.0, len(block.T), 1.0) >= spectral_norm(group.dual)
+            # A last digit of every entry moves it by no more than rounding of the matrix.
+            moved = _moved(group, np.abs(block.matrix))
+            clear = moved <= rounding(block.norm, len(block.T), 1.0)
     spread = radius if single else _reach(T, radius)
     return Cluster(number, group.members, point, side, single, defective, bool(clear), spread)
 
@@ -230,15 +231,19 @@ def _is_single(N: np.ndarray, radius: float) -> bool:
     return True
 
 
-def _blur(block: Block, group: Group, discrete: bool) -> float:
-    """What rounding does to the mean of a group as a rule, errors being random.
+def _moved(group: Group, size: np.ndarray) -> float:
+    """How far entries that change by 1 part in size move the mean, to first order.
 
-    To first order the mean moves by trace(projector E) / p. The entries of a graded matrix may
-    keep it far sharper than the norm of E does.
+    It is trace(projector E) / p. Entries of a graded matrix may keep it far sharper than the
+    norm of E does.
     """
-    size = np.abs(block.Q) @ np.abs(block.T) @ np.abs(block.Q).T
-    moved = np.sum(np.abs(group.basis @ group.dual).T * size) / len(group.members)
-    moved = min(float(moved), block.norm * spectral_norm(group.dual))
+    shares = (np.abs(group.dual) @ size) * np.abs(group.basis).T
+    return float(shares.sum()) / len(group.members)
+
+
+def _blur(block: Block, group: Group, discrete: bool) -> float:
+    """What rounding does to the mean of a group as a rule, errors being random."""
+    moved = min(_moved(group, block.size), block.norm * spectral_norm(group.dual))
     return rounding(max(moved, 1.0) if discrete else moved, len(block.T), block.precision) / 2
 
 
