@@ -106,7 +106,9 @@ def separated(block: Block, tol: float, margins: np.ndarray) -> tuple[np.ndarray
     """
     n = len(block.index)
     vectors, dual = block.modes
-    values, sensitivity = block.T.diagonal(), np.linalg.norm(dual, axis=1)
+    values = block.T.diagonal()
+    # Where eigenvectors are parallel their inverse is huge: its square must not overflow.
+    sensitivity = np.linalg.norm(np.minimum(np.abs(dual), 1e100), axis=1)
     radius = min(n, 2) * tol * sensitivity
     means, reach = values, n * radius
     distance = np.abs(means[:, None] - means)

@@ -12,7 +12,6 @@ from statebook.verdict.blocks import (
     Block,
     assemble,
     decompose,
-    inverse,
     rounding,
     spectral_norm,
     weak_components,
@@ -178,18 +177,16 @@ def _whole_rounding(
 
 def _participations(A: np.ndarray, blocks: list[Block]) -> np.ndarray:
     """Share abs(w_k v_k) of state k in each mode; w and v its left and right eigenvectors."""
+    T, Q, _ = assemble(A, blocks)
     if len(blocks) == 1:
-        Q, (vectors, dual) = blocks[0].Q, blocks[0].modes
+        right, dual = blocks[0].modes
+        left = dual.conj().T
     else:
-        T, Q, _ = assemble(A, blocks)
-        vectors = np.linalg.eig(T)[1]
-        dual = inverse(vectors)
-    products = np.abs((Q @ vectors) * (dual @ Q.conj().T).T)
-    # What eigenvectors of one direction leave is none; such a mode counts as its block's own.
-    total = products.sum(axis=0)
-    if not (np.isfinite(total) & (total > 0)).all():
-        own = scipy.linalg.block_diag(*[np.ones(block.T.shape) for block in blocks])
-        products = np.where(np.isfinite(total) & (total > 0), products, own)
+        _, left, right = scipy.linalg.eig(T, left=True, right=True)
+    products = np.abs((Q @ left) * (Q @ right))
+    # In a long Jordan chain the products underflow; each mode then counts as its block's own.
+    own = scipy.linalg.block_diag(*[np.ones(block.T.shape) for block in blocks])
+    products = np.where(products.sum(axis=0) > 0, products, own)
     shares = np.empty_like(products)
     shares[np.concatenate([block.index for block in blocks])] = products
     return shares / shares.sum(axis=0)
