@@ -130,11 +130,17 @@ def _block(A: np.ndarray, index: np.ndarray, precision: float) -> Block:
         T, Q = scipy.linalg.schur(matrix, output="complex")
     else:
         R, *_, Z, _, _ = scipy.linalg.lapack.dgees(_no_order, matrix, lwork=40 * n)
-        T, Q = scipy.linalg.rsf2csf(R, Z, check_finite=False)
+        T, Q = R.astype(complex), Z.astype(complex)
         # Conjugate pairs exactly, from the standardized 2 x 2 blocks [[a, b], [c, a]], b c < 0.
-        for k in np.flatnonzero(R.diagonal(-1)):
-            omega = abs(R[k, k + 1]) ** 0.5 * abs(R[k + 1, k]) ** 0.5
-            T[k, k], T[k + 1, k + 1] = R[k, k] + 1j * omega, R[k, k] - 1j * omega
+        for k in np.flatnonzero(R.diagonal(-1)).tolist()[::-1]:
+            a, b, c = R[k, k], R[k, k + 1], R[k + 1, k]
+            omega = abs(b) ** 0.5 * abs(c) ** 0.5
+            G = np.array([[-1j * omega, c], [-c, 1j * omega]]) / np.hypot(omega, c)
+            pair = slice(k, k + 2)
+            T[pair, k:] = G @ T[pair, k:]
+            T[: k + 2, pair] = T[: k + 2, pair] @ G.conj().T
+            Q[:, pair] = Q[:, pair] @ G.conj().T
+            T[k, k], T[k + 1, k + 1], T[k + 1, k] = a + 1j * omega, a - 1j * omega, 0.0
     return Block(index, matrix, T, Q, scale, precision)
 
 

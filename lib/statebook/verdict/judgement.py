@@ -185,8 +185,9 @@ def _participations(A: np.ndarray, blocks: list[Block]) -> np.ndarray:
         _, left, right = scipy.linalg.eig(T, left=True, right=True)
     products = np.abs((Q @ left) * (Q @ right))
     # In a long Jordan chain the products underflow; each mode then counts as its block's own.
-    own = scipy.linalg.block_diag(*[np.ones(block.T.shape) for block in blocks])
-    products = np.where(products.sum(axis=0) > 0, products, own)
+    if not products.any(axis=0).all():
+        own = scipy.linalg.block_diag(*[np.ones(block.T.shape) for block in blocks])
+        products = np.where(products.any(axis=0), products, own)
     shares = np.empty_like(products)
     shares[np.concatenate([block.index for block in blocks])] = products
     return shares / shares.sum(axis=0)
