@@ -51,7 +51,8 @@ class StabilityReport:
     Attributes
     ----------
     verdict : str
-        "asymptotically stable", "marginally stable", "unstable" or "inconclusive".
+        "asymptotically stable", "marginally stable", "unstable", "inconclusive", or "stable,
+        along a family of dimension k".
     eigenvalues : array, shape (n,), complex
         By decreasing real part, then imaginary part. Those judged to lie on the boundary are
         put on it, and those that rounding blurs across it at their mean.

@@ -30,24 +30,30 @@ def stability(
     Of x' = A x (or x_next = A x): asymptotically stable if all eigenvalues are inside the left
     half-plane (unit disc), unstable if one is beyond its boundary or has a Jordan block on it,
     else marginally stable. Of an equilibrium of a nonlinear system by Lyapunov's indirect
-    method: eigenvalues on the boundary and none beyond leave it inconclusive.
+    method: eigenvalues on the boundary and none beyond leave it inconclusive, but for those of
+    a family of equilibria, which is stable, or along which the state drifts.
 
     Parameters
     ----------
     system_or_A : array of shape (n, n), control.StateSpace, or any system of `as_system`
-        A matrix, a linear system, or a nonlinear system with its equilibrium x0.
+        A matrix (of floats, integers, fractions or SymPy's rationals), a linear system, or a
+        nonlinear system with its equilibrium x0.
     x0, u0 : array, shape (n,) and (m,), optional
         Equilibrium of a nonlinear system; u0 = None means zeros.
     dt : float, bool or None
         Marks a matrix or a plain function as discrete: None or 0 is continuous time, True or
         > 0 [s] discrete. Other systems know theirs.
+    exact : bool, optional
+        Prove the verdict in rational arithmetic, n <= 30. By default where the matrix is exact:
+        integers, fractions, SymPy's rationals. True takes floats at their word too.
 
     Returns
     -------
     StabilityReport
-        Its ``reason`` says "undecidable in double precision" where a perturbation as small as
-        rounding (8 n eps norm(A), after balancing) could change the verdict of a system that is
-        not on the boundary by construction; the verdict is then the best guess.
+        Its ``tolerance`` is how far rounding (a perturbation of 8 n eps norm(A), after
+        balancing) may move the margin. What is on the boundary is so to within tolerance; its
+        ``reason`` says "undecidable in double precision" where the true margin may be of
+        another sign, or farther off; the verdict is then the best guess.
 
     Raises
     ------
@@ -55,27 +61,31 @@ def stability(
         If x0 is no equilibrium.
     TypeError, ValueError
         If the matrix is not square or not finite, dt is negative or contradicts the system's
-        timebase, or a nonlinear system comes without x0.
+        timebase, a nonlinear system comes without x0, a SymPy entry is no rational number, or
+        exact=True meets a computed Jacobian or more than 30 states.
 
     Notes
     -----
     The matrix is split into blocks that do not feed back into one another, where zeros are
-    exact, and each block is balanced: units of states and time do not matter. An eigenvalue is
-    on the boundary if the boundary point nearest to it is in the pseudospectrum of rounding,
-    and clusters of such eigenvalues are judged by their mean, which a Jordan block does not
-    blur. Among them, couplings above rounding are Jordan blocks.
+    exact, and each block is balanced: units of states and time do not matter. Eigenvalues that
+    a perturbation as large as rounding keeps apart are judged one by one; others, such as those
+    of a Jordan block, together by their mean, if they are within rounding of one eigenvalue. A
+    stable verdict is certain where no such perturbation ends stability.
 
     References
     ----------
-    Khalil, *Nonlinear Systems*, section 4.3 (indirect method); Antsaklis and Michel, *Linear
-    Systems*, section 4.8; Golub and Van Loan, *Matrix Computations*, sections 7.2 and 7.6.
+    Khalil, *Nonlinear Systems*, sections 4.3 (indirect method) and 8.1 (center manifold);
+    Antsaklis and Michel, *Linear Systems*, section 4.8; Golub and Van Loan, *Matrix
+    Computations*, sections 7.2 and 7.6.
 
     Examples
     --------
     >>> stability([[0.0, 1.0], [-10.0, -1.0]]).verdict
     'asymptotically stable'
-    >>> stability([[0.0, 1.0], [0.0, 0.0]]).verdict
-    'unstable'
+    >>> stability([[0, 1], [-1, 0]]).reason.split(". ")[-1]
+    'Proved in exact arithmetic.'
+    >>> stability(lambda x, u: [x[1], u[0] - x[1]], [0, 0], [0]).verdict
+    'stable, along a family of dimension 1'
     """
     part = linear_part(system_or_A, x0, u0, dt=dt)
     discrete = _validate.is_discrete(part.dt)
