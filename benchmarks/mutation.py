@@ -46,7 +46,7 @@ MODULES = (
     "linearize/*.py",
     "derivatives.py",
     "discretize/*.py",
-    "stability/*.py",
+    "verdict/*.py",
     "timescale/*.py",
 )
 # Tests of the project rather than of the library.

@@ -64,7 +64,7 @@ from .verdict.maps import eigenvalue_map as eigenvalue_map
 from .verdict.report import Mode as Mode
 from .verdict.report import StabilityReport as StabilityReport
 from .verdict.stability import stability as stability
-from .verdict.steps import critical_sample_time as critical_sample_time
+from .verdict.sample_time import critical_sample_time as critical_sample_time
 from .verdict.steps import critical_step as critical_step
 
 __version__: str

@@ -1,142 +1,26 @@
-"""Which eigenvalues lie on the stability boundary, and whether they are semisimple."""
+"""Which eigenvalues rounding cannot tell apart, and what is certain of each group of them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from graphlib import TopologicalSorter
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 import scipy
 
-EPS = float(np.finfo(float).eps)
+from statebook.verdict.blocks import Block, assemble, inverse, rounding, spectral_norm
+from statebook.verdict.level_sets import boundary_distance, margin, project
+
 TINY = float(np.finfo(float).tiny)
-# Differences in the units of states are undone up to this ratio; more is no choice of units.
-_UNIT_SPAN = 1e24
-
-
-def rounding(norm: float, n: int, precision: float = EPS) -> float:
-    """Norm of the perturbations to which n x n arithmetic is blind: 8 n eps norm."""
-    return 8 * n * precision * norm
-
-
-@dataclass(frozen=True)
-class Block:
-    """One strongly connected set of states, balanced, as ``matrix = Q T Q^H``.
-
-    Attributes
-    ----------
-    index : array of int
-        The states.
-    matrix : array, shape (k, k)
-        The balanced diagonal block.
-    T, Q : array, shape (k, k), complex
-        Its Schur form and basis.
-    scale : array, shape (k,)
-        Units of the balanced states.
-    precision : float
-        Relative error of the matrix: eps, or more if it was measured or differenced.
-    """
-
-    index: np.ndarray
-    matrix: np.ndarray
-    T: np.ndarray
-    Q: np.ndarray
-    scale: np.ndarray
-    precision: float = EPS
-
-
-def decompose(A: np.ndarray, precision: float = EPS) -> list[Block]:
-    """Split a matrix into its irreducible diagonal blocks, block upper triangular in order.
-
-    Zeros that are exact decouple exactly: the eigenvalues of a chain of integrators are then
-    zeros, and not the cube root of rounding.
-    """
-    return [_block(A, index, precision) for index in _strong_components(A)]
-
-
-def _strong_components(A: np.ndarray) -> list[np.ndarray]:
-    count, labels = scipy.sparse.csgraph.connected_components(A != 0, connection="strong")
-    before: dict[int, set[int]] = {label: set() for label in range(count)}
-    for row, column in zip(labels[np.nonzero(A)[0]], labels[np.nonzero(A)[1]], strict=True):
-        if row != column:
-            before[column].add(row)
-    return [np.flatnonzero(labels == label) for label in TopologicalSorter(before).static_order()]
-
-
-def weak_components(A: np.ndarray) -> list[np.ndarray]:
-    """States that share no coupling at all, in either direction, fall into different sets."""
-    count, labels = scipy.sparse.csgraph.connected_components(A != 0, directed=False)
-    return [np.flatnonzero(labels == label) for label in range(count)]
-
-
-def _block(A: np.ndarray, index: np.ndarray, precision: float) -> Block:
-    matrix, (scale, _) = scipy.linalg.matrix_balance(
-        A[np.ix_(index, index)], permute=False, separate=True
-    )
-    if np.iscomplexobj(matrix):
-        T, Q = scipy.linalg.schur(matrix, output="complex")
-    else:
-        R, Z = scipy.linalg.schur(matrix)
-        T, Q = scipy.linalg.rsf2csf(R, Z)
-        # Conjugate pairs exactly, from the standardized 2 x 2 blocks [[a, b], [c, a]], b c < 0.
-        for k in np.flatnonzero(np.diag(R, -1)):
-            omega = np.sqrt(abs(R[k, k + 1])) * np.sqrt(abs(R[k + 1, k]))
-            T[k, k], T[k + 1, k + 1] = R[k, k] + 1j * omega, R[k, k] - 1j * omega
-    return Block(index, matrix, T, Q, scale, precision)
-
-
-def assemble(A: np.ndarray, blocks: list[Block]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return T = Q^H B Q, Q and B: the whole matrix, balanced, its blocks in Schur form."""
-    index = np.concatenate([block.index for block in blocks])
-    scale = np.concatenate([block.scale for block in blocks])
-    B = A[np.ix_(index, index)] * (scale / scale[:, None])
-    Q = scipy.linalg.block_diag(*[block.Q for block in blocks])
-    T = np.triu(Q.conj().T @ B @ Q)
-    end = 0
-    for block in blocks:
-        start, end = end, end + len(block.index)
-        T[start:end, start:end] = block.T
-    return T, Q, B
-
-
-def with_comparable_couplings(A: np.ndarray, blocks: list[Block], discrete: bool) -> np.ndarray:
-    """Choose units in which couplings between blocks are as large as the blocks.
-
-    Balancing has no say on one-way couplings: it could make them as small as it liked. The
-    units minimize the sum of squares of log(coupling / largest block), or of log(coupling) for
-    a map, whose measure is the unit circle.
-    """
-    end = np.cumsum([len(block.index) for block in blocks])
-    owner = np.searchsorted(end, np.arange(end[-1]), side="right")
-    _, _, B = assemble(A, blocks)
-    rows, columns = np.nonzero(B * (owner[:, None] != owner))
-    if len(rows) == 0:
-        return B
-    logs = np.log(np.abs(B[rows, columns]))
-    rate = 1.0 if discrete else max(np.linalg.norm(block.matrix, 2) for block in blocks)
-    target = np.log(rate) if rate > 0 else logs.mean()
-    equations = np.zeros((len(rows), len(blocks)))
-    equations[np.arange(len(rows)), owner[rows]] += 1
-    equations[np.arange(len(rows)), owner[columns]] -= 1
-    normal = equations.T @ equations, equations.T @ (target - logs)
-    unit = np.linalg.lstsq(*normal, rcond=None)[0]
-    span = np.ptp(unit)
-    if span > np.log(_UNIT_SPAN):
-        unit *= np.log(_UNIT_SPAN) / span
-    unit = np.exp2(np.round(unit / np.log(2)))[owner]
-    return B * (unit[:, None] / unit)
-
-
 # A Jordan coupling this many times above rounding is beyond doubt.
 _CLEAR = 1e3
-# Eigenvalues farther apart than this, relative to the largest, are not one blurred eigenvalue.
-_BLUR = 1e-2
+# Neighbours whose distances agree to this are equally near.
+_AS_NEAR = 1 + 1e-6
 
 
 @dataclass(frozen=True)
 class Cluster:
-    """Eigenvalues of one block that rounding can move onto the boundary.
+    """Eigenvalues that rounding may mix with one another or with the boundary, and no others.
 
     Attributes
     ----------
@@ -147,139 +31,157 @@ class Cluster:
     point : complex
         Where they are, without the blur: their mean, or the boundary if the mean is on it.
     side : int
-        -1 inside, 0 on the boundary, 1 beyond: where their mean is.
+        -1 inside, 0 on the boundary, 1 beyond.
+    single : bool
+        They are within rounding of one eigenvalue, a multiple one if there are several.
     defective : bool
-        They have a Jordan block of size two or more.
+        They are on the boundary and have a Jordan block of size two or more.
     clear : bool
         Rounding cannot change side and defective.
     spread : float
-        Uncertainty of the mean.
+        How far rounding may move the eigenvalue, or the mean of several.
     """
 
     block: int
     members: np.ndarray
     point: complex
     side: int
+    single: bool
     defective: bool
     clear: bool
     spread: float
 
 
-def margin(eigenvalues: Any, discrete: bool) -> Any:
-    """Distance of eigenvalues from the boundary, positive inside."""
-    return 1 - np.abs(eigenvalues) if discrete else -np.real(eigenvalues)
+class Group(NamedTuple):
+    """Eigenvalues of a block that rounding keeps apart from all others.
 
-
-def project(eigenvalues: Any, discrete: bool) -> Any:
-    """Nearest points of the boundary: the imaginary axis or the unit circle."""
-    if not discrete:
-        return 1j * np.imag(eigenvalues)
-    radius = np.abs(eigenvalues)
-    return np.where(radius > 0, eigenvalues, 1.0) / np.where(radius > 0, radius, 1.0)
-
-
-def tolerance(block: Block, discrete: bool) -> float:
-    """Rounding of a balanced block; a map has the size of the unit circle at least."""
-    norm = float(np.linalg.norm(block.matrix, 2))
-    return rounding(max(norm, 1.0) if discrete else norm, len(block.index), block.precision)
-
-
-def clusters(blocks: list[Block], discrete: bool) -> list[Cluster]:
-    """Find the boundary clusters of every block."""
-    return [
-        _cluster(number, block, members, discrete)
-        for number, block in enumerate(blocks)
-        for members in _groups(block.T, tolerance(block, discrete), discrete)
-    ]
-
-
-def _groups(T: np.ndarray, tol: float, discrete: bool) -> list[np.ndarray]:
-    """Eigenvalues that share a piece of the pseudospectrum of rounding with the boundary.
-
-    A Jordan block of size k leaves a cluster of radius eps^(1/k), but at every point p of it
-    and between it and the boundary the smallest singular value of T - p I is at rounding.
+    Their places in its Schur form, a basis of their invariant subspace, the rows that project
+    on it, T on it, and the size of perturbations of T that rounding amounts to.
     """
-    eigenvalues = np.diag(T)
-    points = project(eigenvalues, discrete)
-    near = [_linked(T, value, p, tol) for value, p in zip(eigenvalues, points, strict=True)]
-    members = np.flatnonzero(near)
-    members = members[np.argsort(np.angle(points[members]) if discrete else points[members].imag)]
-    groups: list[list[int]] = []
-    for place in members.tolist():
-        if groups and _linked(T, points[groups[-1][-1]], points[place], tol):
-            groups[-1].append(place)
-        else:
-            groups.append([place])
-    if (
-        discrete
-        and len(groups) > 1
-        and _linked(T, points[groups[-1][-1]], points[groups[0][0]], tol)
-    ):
-        groups[0] = groups.pop() + groups[0]
-    return [np.array(group) for group in groups]
+
+    members: np.ndarray
+    basis: np.ndarray
+    dual: np.ndarray
+    T: np.ndarray
+    radius: float
 
 
-def sharpened(block: Block) -> np.ndarray:
-    """Eigenvalues of a block, those that rounding blurs into one another put at their mean.
+def clusters(blocks: list[Block], discrete: bool) -> tuple[np.ndarray, list[Cluster]]:
+    """Find how far rounding moves each eigenvalue, and the clusters that are not plain.
 
-    A double eigenvalue comes out as two, sqrt(eps) apart, in a way that depends on the machine;
-    their mean does not.
+    An eigenvalue that is separated from all others and from the boundary is plain.
+
+    References
+    ----------
+    Separation: discs of radius proportional to perturbation times sensitivity, of which a
+    connected component keeps its number of eigenvalues (Wilkinson, *The Algebraic Eigenvalue
+    Problem*, chapter 2; Demmel, *Applied Numerical Linear Algebra*, theorem 4.5), for several
+    eigenvalues in their block form (Feingold and Varga, Pacific J. Math. 12 (1962) 1241). What
+    is not separated is joined with its nearest neighbour (Bavely and Stewart, SIAM J. Numer.
+    Anal. 16 (1979) 359). Multiplicity and Jordan blocks: the backward error of a staircase
+    form (Kagstrom and Ruhe, ACM Trans. Math. Software 6 (1980) 398).
     """
-    values = np.diag(block.T).copy()
-    tol = tolerance(block, discrete=False)
-    near = np.abs(values[:, None] - values) <= _BLUR * np.abs(values).max()
-    links = np.zeros(near.shape, dtype=bool)
-    for i, j in zip(*np.nonzero(np.triu(near, 1)), strict=True):
-        links[i, j] = _linked(block.T, values[i], values[j], tol)
-    count, labels = scipy.sparse.csgraph.connected_components(links, directed=False)
-    for label in range(count):
-        members = labels == label
-        mean = complex(values[members].mean())
-        if np.isrealobj(block.matrix) and abs(mean.imag) <= 1e-3 * np.ptp(values[members].imag):
-            mean = complex(mean.real)
-        if members.sum() > 1:
-            values[members] = mean
-    return values
+    spreads, found = [], []
+    for number, block in enumerate(blocks):
+        tol = block.tolerance(discrete)
+        spread, groups = separated(block, tol, np.abs(margin(block.T.diagonal(), discrete)))
+        for group in groups:
+            found.append(_judged(number, block, group, discrete))
+            spread[group.members] = found[-1].spread
+        spreads.append(spread)
+    return np.concatenate(spreads), found
 
 
-def _linked(T: np.ndarray, start: complex, end: complex, tol: float) -> bool:
-    """Whether the way from one point to another stays where rounding may put eigenvalues."""
-    return all(_gap(T, start + t * (end - start)) <= tol for t in (0.5, 1.0, 0.25, 0.75))
+def separated(block: Block, tol: float, margins: np.ndarray) -> tuple[np.ndarray, list[Group]]:
+    """Smallest groups of eigenvalues that every perturbation up to tol keeps apart.
+
+    It returns how far each eigenvalue may move, and those groups that are not one eigenvalue
+    with a larger margin than that.
+
+    Let V hold orthonormal bases of k invariant subspaces. In X (A + E) V with X the inverse
+    of V the rows of group i in X E V are at most ``k tol norm(X_i)``, and norm(X_i) is the
+    norm of the spectral projector. With the rows divided by k and the columns multiplied,
+    a group whose region at ``2 k tol norm(X_i)`` meets no other's keeps its eigenvalues
+    where ``sigma_min(T_i - z I) <= 2 tol norm(X_i)``.
+    """
+    n = len(block.index)
+    vectors, dual = block.modes
+    values = block.T.diagonal()
+    # Where eigenvectors are parallel their inverse is huge: its square must not overflow.
+    sensitivity = np.linalg.norm(np.minimum(np.abs(dual), 1e100), axis=1)
+    radius = min(n, 2) * tol * sensitivity
+    means, reach = values, n * radius
+    distance = np.abs(means[:, None] - means)
+    np.fill_diagonal(distance, np.inf)
+    meet = distance <= reach[:, None] + reach
+    if not meet.any():
+        return radius, [
+            Group(
+                np.array([i]),
+                block.Q @ vectors[:, i : i + 1],
+                dual[i : i + 1] @ block.Q.conj().T,
+                values[i : i + 1, None],
+                float(radius[i]),
+            )
+            for i in np.flatnonzero(margins <= radius)
+        ]
+    members = [np.array([i]) for i in range(n)]
+    bases, duals = np.hsplit(block.Q @ vectors, n), np.vsplit(dual @ block.Q.conj().T, n)
+    parts = np.hsplit(values[None, :], n)
+    while meet.any():
+        # Of two that meet, the more sensitive one is joined with what is nearest to it.
+        blurred = (meet & (sensitivity[:, None] >= sensitivity)).any(axis=1)
+        nearest = distance <= _AS_NEAR * distance.min(axis=1, keepdims=True)
+        count, labels = scipy.sparse.csgraph.connected_components(
+            nearest & blurred[:, None], directed=False
+        )
+        joined = [np.flatnonzero(labels == label) for label in range(count)]
+        members = [np.sort(np.concatenate([members[i] for i in part])) for part in joined]
+        kept = [part[0] if len(part) == 1 else None for part in joined]
+        new = [
+            _invariant(block, m) if i is None else (bases[i], parts[i])
+            for i, m in zip(kept, members, strict=True)
+        ]
+        bases, parts = [pair[0] for pair in new], [pair[1] for pair in new]
+        places = np.cumsum([len(m) for m in members])[:-1]
+        duals = np.split(inverse(np.hstack(bases)), places)
+        sensitivity = np.array([spectral_norm(dual) for dual in duals])
+        means = np.array([T.diagonal().mean() for T in parts])
+        sizes = 2 * count * tol * sensitivity
+        reach = np.array([_reach(*pair) for pair in zip(parts, sizes, strict=True)])
+        distance = np.abs(means[:, None] - means)
+        np.fill_diagonal(distance, np.inf)
+        meet = distance <= reach[:, None] + reach
+    groups = []
+    for group in zip(members, bases, duals, parts, sensitivity, strict=True):
+        place, size = group[0], float(min(len(members), 2) * tol * group[-1])
+        radius[place] = size
+        if len(place) > 1 or margins[place[0]] <= size:
+            groups.append(Group(*group[:-1], size))
+    return radius, groups
 
 
-def _gap(T: np.ndarray, point: complex) -> float:
-    """LAPACK's estimate of 1 / norm(inverse of T - point I), about the smallest singular value."""
-    shifted = T - point * np.eye(len(T))
-    return float(scipy.linalg.lapack.ztrcon(shifted)[0] * np.linalg.norm(shifted, 1))
-
-
-def _cluster(number: int, block: Block, members: np.ndarray, discrete: bool) -> Cluster:
-    tol, k, p = tolerance(block, discrete), len(block.index), len(members)
-    mean = complex(np.diag(block.T)[members].mean())
-    point = complex(project(mean, discrete))
+def _invariant(block: Block, members: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Orthonormal basis of the invariant subspace of some eigenvalues, and T on it."""
     T, Q = _leading(block, members)
-    Z = np.zeros((p, 0))
-    if p < k:
-        Z = scipy.linalg.solve_sylvester(T[:p, :p], -T[p:, p:], T[:p, p:])
-    projector = Q[:, :p] @ np.hstack([np.eye(p), Z]) @ Q.conj().T
-    # First order: the mean moves by trace(projector E) / p, entries of E being rounding errors.
-    size = np.abs(Q) @ np.abs(T) @ np.abs(Q).T
-    moved = rounding(float(np.sum(np.abs(projector).T * size)) / p, k, block.precision)
-    if discrete:
-        moved = max(moved, rounding(1.0, k, block.precision))
-    spread = tol * float(np.linalg.norm(projector, 2))
-    # The entries of a graded matrix may keep a simple eigenvalue far sharper than the norm of
-    # rounding does; the mean of several is no sharper than rounding in the sum.
-    blur = moved if p == 1 else max(moved, tol / (8 * k))
-    if abs(mean - point) > blur:
-        side = -1 if margin(mean, discrete) > 0 else 1
-        return Cluster(number, members, mean, side, False, False, spread)
-    couplings = np.linalg.svd(T[:p, :p] - point * np.eye(p), compute_uv=False)
-    lost = couplings <= spread
-    if p == 1 or lost.all():
-        return Cluster(number, members, point, 0, False, abs(mean - point) <= moved, spread)
-    clear = lost.sum() <= 1 and bool(couplings[-2] > _CLEAR * spread)
-    return Cluster(number, members, point, 0, True, clear, spread)
+    p = len(members)
+    return Q[:, :p], T[:p, :p]
+
+
+def _reach(T: np.ndarray, size: float) -> float:
+    """Radius around the mean beyond which sigma_min(T - z I) > size.
+
+    With U the strict upper triangle and d the distance from the diagonal, 1 / sigma_min is at
+    most the sum of ``norm(U)^l / d^(l + 1)`` over l < p.
+    """
+    p = len(T)
+    if p == 1:
+        return size
+    diagonal = T.diagonal()
+    powers = np.arange(p)
+    terms = p * size * np.linalg.norm(np.triu(T, 1)) ** powers
+    spread = np.abs(diagonal - diagonal.mean()).max()
+    return float(spread + (terms ** (1 / (powers + 1))).max())
 
 
 def _leading(block: Block, members: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -288,6 +190,63 @@ def _leading(block: Block, members: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     select[members] = 1
     T, Q, *_ = scipy.linalg.lapack.ztrsen(select, block.T, block.Q, job="N")
     return T, Q
+
+
+def _judged(number: int, block: Block, group: Group, discrete: bool) -> Cluster:
+    T, p, radius = group.T, len(group.T), group.radius
+    values = T.diagonal()
+    mean = complex(values.mean())
+    if np.isrealobj(block.matrix) and abs(mean.imag) <= 1e-3 * np.ptp(values.imag):
+        mean = complex(mean.real)
+    single = p == 1 or _is_single(T - mean * np.eye(p), radius)
+    worst = float(np.min(margin(mean if single else values, discrete)))
+    point, side, defective = mean, -1 if worst > 0 else 1, False
+    on_boundary = complex(project(mean, discrete))
+    inside = margin(mean, discrete)
+    if -inside > radius or inside > _reach(T, radius):
+        clear = True  # the mean stays beyond, or all of them inside
+    elif p > 1 and worst > 0 and boundary_distance(T, discrete, radius) > radius:
+        clear = True
+    elif not single or abs(mean - on_boundary) > _blur(block, group, discrete):
+        clear = False
+    else:
+        couplings = np.linalg.svd(T - on_boundary * np.eye(p), compute_uv=False)
+        point, side, defective = on_boundary, 0, bool(couplings[0] > radius) and p > 1
+        if defective:
+            clear = couplings[-1] <= radius and couplings[-2] > _CLEAR * radius
+        else:
+            # A last digit of every entry moves it by no more than rounding of the matrix.
+            moved = _moved(group, np.abs(block.matrix))
+            clear = moved <= rounding(block.norm, len(block.T), 1.0)
+    spread = radius if single else _reach(T, radius)
+    return Cluster(number, group.members, point, side, single, defective, bool(clear), spread)
+
+
+def _is_single(N: np.ndarray, radius: float) -> bool:
+    """Whether N is nilpotent to within radius: null space by null space, by staircase."""
+    while len(N):
+        _, s, Vh = np.linalg.svd(N)
+        rest = Vh[s > radius]
+        if len(rest) == len(N):
+            return False
+        N = rest @ N @ rest.conj().T
+    return True
+
+
+def _moved(group: Group, size: np.ndarray) -> float:
+    """How far entries that change by 1 part in size move the mean, to first order.
+
+    It is trace(projector E) / p. Entries of a graded matrix may keep it far sharper than the
+    norm of E does.
+    """
+    shares = (np.abs(group.dual) @ size) * np.abs(group.basis).T
+    return float(shares.sum()) / len(group.members)
+
+
+def _blur(block: Block, group: Group, discrete: bool) -> float:
+    """What rounding does to the mean of a group as a rule, errors being random."""
+    moved = min(_moved(group, block.size), block.norm * spectral_norm(group.dual))
+    return rounding(max(moved, 1.0) if discrete else moved, len(block.T), block.precision) / 2
 
 
 def shared_jordan_points(

@@ -5,11 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 from statebook import _validate
+from statebook.verdict.judgement import ASYMPTOTICALLY_STABLE, judge
 from statebook.verdict.level_sets import boundary_distance
-from statebook.verdict.stability import ASYMPTOTICALLY_STABLE, judge
+from statebook.verdict.linear_part import linear_part
 
 
-def distance_to_instability(A: Any, *, dt: float | bool | None = None) -> float:
+def distance_to_instability(
+    system_or_A: Any, x0: Any = None, u0: Any = None, *, dt: float | bool | None = None
+) -> float:
     """Size of the smallest perturbation that ends stability.
 
     ``min over omega of sigma_min(A - i omega I)`` in continuous time and ``min over theta of
@@ -18,10 +21,14 @@ def distance_to_instability(A: Any, *, dt: float | bool | None = None) -> float:
 
     Parameters
     ----------
-    A : array, shape (n, n)
-        Real or complex matrix, in the units of its states: the distance depends on them.
+    system_or_A : array of shape (n, n), control.StateSpace, or any system of `as_system`
+        Real or complex matrix, or a system whose matrix or Jacobian is taken, in the units of
+        its states: the distance depends on them.
+    x0, u0 : array, shape (n,) and (m,), optional
+        Equilibrium of a nonlinear system; u0 = None means zeros.
     dt : float, bool or None
-        None or 0 is continuous time, True or > 0 [s] discrete, as in python-control.
+        Marks a matrix or a plain function as discrete: None or 0 is continuous time, True or
+        > 0 [s] discrete. Other systems know theirs.
 
     Returns
     -------
@@ -30,8 +37,11 @@ def distance_to_instability(A: Any, *, dt: float | bool | None = None) -> float:
 
     Raises
     ------
+    NotAnEquilibriumError
+        If x0 is no equilibrium.
     TypeError, ValueError
-        If A is not a square matrix of finite numbers, or dt is negative.
+        If A is not a square matrix of finite numbers, dt is negative or contradicts the
+        system's timebase, or a nonlinear system comes without x0.
 
     References
     ----------
@@ -45,8 +55,8 @@ def distance_to_instability(A: Any, *, dt: float | bool | None = None) -> float:
     >>> distance_to_instability([[-1.0, 100.0], [0.0, -3.0]]) < 0.03
     True
     """
-    A = _validate.square("A", A)
-    discrete = _validate.is_discrete(dt)
+    part = linear_part(system_or_A, x0, u0, dt=dt)
+    A, discrete = part.A, _validate.is_discrete(part.dt)
     if len(A) == 0:
         return float("inf")
     if judge(A, discrete, check_distance=False).verdict != ASYMPTOTICALLY_STABLE:

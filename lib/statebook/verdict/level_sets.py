@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import scipy
-
-from statebook.verdict.clusters import margin, project
 
 # Level sets are taken this far below the best value, so that the sets are not empty by rounding.
 _BELOW = 1e-10
@@ -14,6 +14,19 @@ _BELOW = 1e-10
 _ON_BOUNDARY = 1e-6
 # The search starts opposite this many eigenvalues, the nearest.
 _STARTS = 8
+
+
+def margin(eigenvalues: Any, discrete: bool) -> Any:
+    """Distance of eigenvalues from the boundary, positive inside."""
+    return 1 - np.abs(eigenvalues) if discrete else -np.real(eigenvalues)
+
+
+def project(eigenvalues: Any, discrete: bool) -> Any:
+    """Nearest points of the boundary: the imaginary axis or the unit circle."""
+    if not discrete:
+        return 1j * np.imag(eigenvalues)
+    radius = np.abs(eigenvalues)
+    return np.where(radius > 0, eigenvalues, 1.0) / np.where(radius > 0, radius, 1.0)
 
 
 def boundary_distance(A: np.ndarray, discrete: bool, enough: float = 0.0) -> float:

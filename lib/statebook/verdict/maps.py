@@ -16,8 +16,9 @@ def eigenvalue_map(function: Callable[..., Any], *grids: Any) -> np.ndarray:
     Parameters
     ----------
     function : callable
-        ``function(*parameters)``, called once with one array per grid, all of the shape of the
-        whole grid; it returns matrices of shape (\\*grid shape, n, n).
+        ``function(*parameters)``, called with one array per grid, all of the shape of the
+        whole grid; it returns matrices of shape (\\*grid shape, n, n). It is called once, and
+        once more, on a small grid, where sizes agree so that axes could be confused.
     *grids : array, shape (N,)
         Values of each parameter, one after another in the result's axes ("ij" order).
 
@@ -30,7 +31,8 @@ def eigenvalue_map(function: Callable[..., Any], *grids: Any) -> np.ndarray:
     Raises
     ------
     TypeError, ValueError
-        If a grid is not a vector, or the function's result has the wrong shape or is not finite.
+        If a grid is not a vector, or the function's result has the wrong shape, its axes in
+        a wrong order, or is not finite.
 
     Examples
     --------
@@ -48,11 +50,31 @@ def eigenvalue_map(function: Callable[..., Any], *grids: Any) -> np.ndarray:
     shape = parameters[0].shape
     matrices = _validate.array("function's result", function(*parameters))
     if matrices.shape[:-2] != shape or matrices.shape[-1] != matrices.shape[-2]:
-        raise ValueError(
-            f"function must return matrices of shape {(*shape, 'n', 'n')}, got {matrices.shape};"
-            " fill A[..., i, j] of an array np.zeros((*parameter.shape, n, n))".replace("'n'", "n")
-        )
+        raise ValueError(_wrong_shape(shape, matrices.shape))
+    axes = (*shape, matrices.shape[-1])
+    if len(set(axes)) < len(axes) and matrices.size:
+        _require_order(function, vectors, matrices.shape[-1])
     return sort_eigenvalues(np.linalg.eigvals(matrices))
+
+
+def _wrong_shape(shape: tuple[int, ...], got: tuple[int, ...]) -> str:
+    wanted = f"{(*shape, 'n', 'n')}".replace("'n'", "n")
+    return (
+        f"function must return matrices of shape {wanted}, got {got};"
+        " fill A[..., i, j] of an array np.zeros((*parameter.shape, n, n))"
+    )
+
+
+def _require_order(function: Callable[..., Any], vectors: list[np.ndarray], n: int) -> None:
+    """Refuse axes in a wrong order, which go unseen where sizes agree: on a grid of others."""
+    sizes = range(n + 1, n + 1 + len(vectors))
+    small = [np.resize(v, size) for v, size in zip(vectors, sizes, strict=True)]
+    try:
+        got = np.shape(function(*np.meshgrid(*small, indexing="ij")))
+    except Exception:  # it may know its own grid only, and then cannot be asked
+        return
+    if got != (*sizes, n, n) and sorted(got) == sorted((*sizes, n, n)):
+        raise ValueError(_wrong_shape(tuple(sizes), got))
 
 
 def sort_eigenvalues(eigenvalues: np.ndarray) -> np.ndarray:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import html
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,13 +51,18 @@ class StabilityReport:
     Attributes
     ----------
     verdict : str
-        "asymptotically stable", "marginally stable", "unstable" or "inconclusive".
+        "asymptotically stable", "marginally stable", "unstable", "inconclusive", or "stable,
+        along a family of dimension k".
     eigenvalues : array, shape (n,), complex
         By decreasing real part, then imaginary part. Those judged to lie on the boundary are
         put on it, and those that rounding blurs across it at their mean.
     spectral_margin : float
         ``-max Re`` in continuous time [1/s], ``1 - max abs`` in discrete time: positive if all
         eigenvalues are inside, 0 on the boundary, negative beyond; inf if there are none.
+    tolerance : float
+        How far rounding may move the margin, in its units: the true one is within it; 0 where
+        the verdict is exact. Of eigenvalues that rounding blurs into one it is that of their
+        mean.
     reason : str
         What was judged, and why.
     modes : tuple of Mode
@@ -69,45 +76,90 @@ class StabilityReport:
     verdict: str
     eigenvalues: np.ndarray
     spectral_margin: float
+    tolerance: float
     reason: str
     modes: tuple[Mode, ...]
     dt: float | bool | None
     states: tuple[str, ...]
 
     def __repr__(self) -> str:
-        lines = [
-            f"{self.verdict} (spectral margin {format_real(self.spectral_margin)})",
-            self.reason,
+        lines, rows, more = self._parts()
+        widths = [max(len(row[k]) for row in rows) for k in range(5)] if rows else []
+        lines += [
+            "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip()
+            for row in rows
         ]
-        if self.modes:
-            unit = "sample" if self.dt is True else "s"
-            rows = [
-                ("eigenvalue", "damping", f"freq. [rad/{unit}]", f"time const. [{unit}]", "states")
+        return "\n".join(lines + more)
+
+    def to_markdown(self) -> str:
+        """Write the report as Markdown, the modes as a table.
+
+        Returns
+        -------
+        str
+
+        Examples
+        --------
+        >>> import statebook as sb
+        >>> print(sb.stability([[-2.0]]).to_markdown().splitlines()[-1])
+        | -2 | 1 | 2 | 0.5 | x\\[0\\] |
+        """
+        (title, reason), rows, more = self._parts()
+        # What Markdown would read as a link, a table or emphasis is meant as it stands.
+        table = ["| " + " | ".join(map(_literal, row)) + " |" for row in rows[1:]]
+        if rows:
+            table = [
+                "| " + " | ".join(rows[0]) + " |",
+                "| " + " | ".join(["---"] * 5) + " |",
+                *table,
             ]
-            scale = float(np.abs(self.eigenvalues).max())
-            rows += [
-                (
-                    format_complex(mode.eigenvalue, scale),
-                    format_real(mode.damping),
-                    format_real(mode.frequency, scale if self.dt in (None, 0) else 1.0),
-                    format_real(mode.time_constant),
-                    self._main_states(mode),
-                )
-                for mode in self.modes[:_ROWS]
-            ]
-            widths = [max(len(row[k]) for row in rows) for k in range(5)]
-            lines += [
-                "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip()
-                for row in rows
-            ]
-        if len(self.modes) > _ROWS:
-            lines.append(f"... and {len(self.modes) - _ROWS} more")
-        return "\n".join(lines)
+        blocks = [f"**{title}**", _literal(reason), "\n".join(table), *more]
+        return "\n\n".join(block for block in blocks if block)
+
+    def _repr_html_(self) -> str:
+        (title, reason), rows, more = self._parts()
+        table = "".join(
+            "<tr>" + "".join(f"<{tag}>{html.escape(cell)}</{tag}>" for cell in row) + "</tr>"
+            for tag, row in zip(["th", *["td"] * len(rows)], rows, strict=False)
+        )
+        # A wide table scrolls by itself, and the page does not.
+        return (
+            f"<p><strong>{html.escape(title)}</strong></p><p>{html.escape(reason)}</p>"
+            f'<div style="overflow-x:auto;white-space:nowrap"><table>{table}</table></div>'
+            + "".join(f"<p>{line}</p>" for line in more)
+        )
+
+    def _parts(self) -> tuple[list[str], list[tuple[str, ...]], list[str]]:
+        """Title and reason, rows of the table of modes, and what it leaves out."""
+        title = f"{self.verdict} (spectral margin {format_real(self.spectral_margin)})"
+        if not self.modes:
+            return [title, self.reason], [], []
+        unit = "sample" if self.dt is True else "s"
+        scale = float(np.abs(self.eigenvalues).max())
+        rows: list[tuple[str, ...]] = [
+            ("eigenvalue", "damping", f"freq. [rad/{unit}]", f"time const. [{unit}]", "states")
+        ]
+        rows += [
+            (
+                format_complex(mode.eigenvalue, scale),
+                format_real(mode.damping),
+                format_real(mode.frequency, scale if self.dt in (None, 0) else 1.0),
+                format_real(mode.time_constant),
+                self._main_states(mode),
+            )
+            for mode in self.modes[:_ROWS]
+        ]
+        left = len(self.modes) - _ROWS
+        return [title, self.reason], rows, [f"... and {left} more"] if left > 0 else []
 
     def _main_states(self, mode: Mode) -> str:
         """Labels of the states whose share is at least half the largest."""
         share = mode.participation
         return ", ".join(np.array(self.states)[share >= 0.5 * share.max() - 1e-6])
+
+
+def _literal(text: str) -> str:
+    return re.sub(r"([\\`*_\[\]<>|])", r"\\\1", text)
 
 
 def format_real(value: float, scale: float = 0.0) -> str:

@@ -1,24 +1,22 @@
-"""How large a step may be: of a method, and of a sampled state feedback."""
+"""How large a step of a method may be."""
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import scipy
 
-from statebook import _validate
 from statebook.runge_kutta import (
     SEMI_IMPLICIT_EULER,
     ButcherTableau,
     amplification_matrix,
     as_tableau,
 )
-from statebook.sampling import one_step, pair
-from statebook.verdict.clusters import EPS
-from statebook.verdict.stability import ASYMPTOTICALLY_STABLE, UNSTABLE, judge
+from statebook.verdict.blocks import EPS
+from statebook.verdict.judgement import UNSTABLE, judge
+from statebook.verdict.linear_part import continuous_part
 
 # Polynomial coefficients below this share of their terms are rounding of a zero.
 _CANCELLED = 64 * EPS
@@ -30,7 +28,9 @@ _SCAN_POINTS = 2000
 _GROWTH = 1e-10
 
 
-def critical_step(A: Any, method: str | ButcherTableau) -> float:
+def critical_step(
+    system_or_A: Any, method: str | ButcherTableau, x0: Any = None, u0: Any = None
+) -> float:
     """Largest step below which a method keeps solutions bounded.
 
     The supremum of h such that with every step in (0, h) all numerical solutions of x' = A x
@@ -40,11 +40,14 @@ def critical_step(A: Any, method: str | ButcherTableau) -> float:
 
     Parameters
     ----------
-    A : array, shape (n, n)
-        Matrix of the linear system, real or complex [1/s].
+    system_or_A : array of shape (n, n), control.StateSpace, or any system of `as_system`
+        Real or complex matrix [1/s], a linear system, or a nonlinear one with its equilibrium
+        x0, whose Jacobian is taken.
     method : str or ButcherTableau
         A name in `METHODS`, a tableau, or "semi_implicit_euler" (n even; the first half of the
         state are positions).
+    x0, u0 : array, shape (n,) and (m,), optional
+        Equilibrium of a nonlinear system; u0 = None means zeros.
 
     Returns
     -------
@@ -54,9 +57,11 @@ def critical_step(A: Any, method: str | ButcherTableau) -> float:
 
     Raises
     ------
+    NotAnEquilibriumError
+        If x0 is no equilibrium.
     TypeError, ValueError
-        If A is not a square matrix of finite numbers, the method is unknown, or n is odd for
-        "semi_implicit_euler".
+        If A is not a square matrix of finite numbers, the system is in discrete time, the
+        method is unknown, or n is odd for "semi_implicit_euler".
 
     Notes
     -----
@@ -80,7 +85,7 @@ def critical_step(A: Any, method: str | ButcherTableau) -> float:
     >>> critical_step([[0.0, 1.0], [-1.0, 0.0]], "implicit_midpoint")
     inf
     """
-    A = _validate.square("A", A)
+    A = continuous_part(system_or_A, x0, u0).A
     tableau = None if method == SEMI_IMPLICIT_EULER else as_tableau(method)
     if tableau is None and len(A) % 2:
         raise ValueError(
@@ -232,131 +237,3 @@ def _bracketed(growth: Callable[[float], float], low: float, high: float) -> flo
     return float(
         scipy.optimize.brentq(lambda h: growth(h) - aim, low, high, xtol=1e-15, rtol=1e-14)
     )
-
-
-# The scan of sampled feedback: steps per period of the fastest living mode, growth of the step,
-# the decay after which a mode is dead, when to give up, and how many steps to take at once.
-_PER_PERIOD = 40
-_STEP_GROWTH = 0.05
-_DEAD = 40.0
-_MAX_SCAN = 100_000
-_CHUNK = 64
-# Modes this near, relatively, alias; a spectral radius this near 1 is 1 where they do.
-_SAME = 1e-9
-_TOUCH = 1e-7
-
-
-def critical_sample_time(A: Any, B: Any, K: Any) -> float:
-    """Largest sample time below which sampled feedback is stable.
-
-    The supremum of h such that for every sample time in (0, h) the plant x' = A x + B u under
-    u = -K x_k, held between samples, is asymptotically stable: all eigenvalues of
-    ``Ad(h) - Bd(h) K`` inside the unit circle, Ad and Bd by "zoh".
-
-    Parameters
-    ----------
-    A : array, shape (n, n)
-    B : array, shape (n, m)
-    K : array, shape (m, n)
-        Gain of the state feedback.
-
-    Returns
-    -------
-    float
-        The critical sample time [s]: 0 if A - B K is not asymptotically stable (so that fast
-        sampling does not help), inf if none was found.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a shape is wrong or an entry is not finite.
-    RuntimeError
-        If the scan did not come to an end.
-
-    Notes
-    -----
-    The condition is transcendental, so this is a search: the spectral radius is scanned with
-    steps of 5 % of h, and of 1/40 of the period of the fastest oscillation in A that has not
-    died out, and its first crossing of 1 is bracketed and solved to rounding; the sample times
-    at which two lasting modes alias are looked at by themselves. A window of instability
-    narrower than a step can escape. A stable A is scanned until exp(h A) has died
-    out and the loop no longer changes; any other plant is scanned until it is unstable.
-
-    References
-    ----------
-    Astrom and Wittenmark, *Computer-Controlled Systems*, section 3.2.
-
-    Examples
-    --------
-    >>> round(critical_sample_time([[0.0]], [[1.0]], [[4.0]]), 12)
-    0.5
-    """
-    A, B = pair(A, B, stack=False)
-    K = _validate.array("K", K, (B.shape[1], A.shape[0]))
-    closed = A - B @ K
-    if judge(closed, discrete=False).verdict != ASYMPTOTICALLY_STABLE:
-        return 0.0
-    if len(A) == 0:
-        return float("inf")
-
-    def growth(h: np.ndarray) -> np.ndarray:
-        with np.errstate(over="ignore", invalid="ignore"):
-            Ad, Bd = one_step(A, B, h[:, None, None], "zoh")
-            loop = Ad - Bd @ K
-        overflow = ~np.isfinite(loop).all(axis=(1, 2))
-        radius = np.abs(np.linalg.eigvals(np.where(overflow[:, None, None], 0, loop))).max(axis=1)
-        return np.where(overflow, np.inf, radius - 1)
-
-    low = 0.0
-    points = _scan(np.linalg.eigvals(A), np.linalg.eigvals(closed))
-    while chunk := list(itertools.islice(points, _CHUNK)):
-        # Invariant: stable at low and, as far as the scan has seen, before.
-        h, aliased = (np.array(column) for column in zip(*chunk, strict=True))
-        excess = growth(h)
-        touching = aliased & (np.abs(excess) <= _TOUCH)
-        for time, touches, grows in zip(h, touching, excess >= 0, strict=True):
-            if touches:
-                return float(time)
-            if grows:
-                return float(
-                    scipy.optimize.brentq(
-                        lambda t: growth(np.array([t]))[0], low, time, xtol=1e-300, rtol=1e-14
-                    )
-                )
-            low = time
-    return float("inf")
-
-
-def _scan(open_loop: np.ndarray, closed_loop: np.ndarray) -> Iterator[tuple[float, bool]]:
-    """Sample times to look at, ascending, and whether two lasting modes alias there."""
-    periods = _pathological_periods(open_loop)
-    h = 1e-3 / max(np.abs(open_loop).max(), np.abs(closed_loop).max())
-    for _ in range(_MAX_SCAN):
-        alive = open_loop[-open_loop.real * h < _DEAD]
-        if len(alive) == 0:
-            return
-        frequency = np.abs(alive.imag).max()
-        step = _STEP_GROWTH * h
-        if frequency > 0:
-            step = min(step, 2 * np.pi / frequency / _PER_PERIOD)
-        lost = periods * np.floor((h + step) / periods)
-        yield from ((float(time), True) for time in np.sort(lost[lost > h]))
-        h += step
-        if h not in lost:
-            yield h, False
-    raise RuntimeError(
-        f"no sample time up to {h:.3g} s was unstable, and the plant's modes have not died out;"
-        " examine the eigenvalues of discretize_many(A, B, dt) yourself"
-    )
-
-
-def _pathological_periods(eigenvalues: np.ndarray) -> np.ndarray:
-    """Sample times whose multiples alias two modes of A that do not decay.
-
-    There sampling loses controllability: the spectral radius touches 1, maybe without crossing.
-    """
-    scale = np.abs(eigenvalues).max(initial=0.0)
-    lasting = eigenvalues[eigenvalues.real >= -_SAME * scale]
-    difference = (lasting[:, None] - lasting)[np.triu_indices(len(lasting), 1)]
-    frequency = np.abs(difference.imag)[np.abs(difference.real) <= _SAME * scale]
-    return 2 * np.pi / np.unique(frequency[frequency > _SAME * scale])

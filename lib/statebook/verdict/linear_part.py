@@ -1,0 +1,124 @@
+"""The matrix that is judged: as it is, a system's own, or a Jacobian at an equilibrium."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from numbers import Number
+from typing import Any
+
+import numpy as np
+
+from statebook import _validate
+from statebook.derivatives import derivative
+from statebook.linearization import linearize
+from statebook.systems import System, as_system
+from statebook.verdict.blocks import EPS
+from statebook.verdict.exact import RationalMatrix, as_rational
+
+
+@dataclass(frozen=True)
+class LinearPart:
+    """Matrices with what is known of them.
+
+    Attributes
+    ----------
+    A : array, shape (n, n)
+    B : array, shape (n, m), or None
+        None beside a bare matrix.
+    rational : RationalMatrix or None
+        A as the caller wrote it, where that is exact.
+    precision : float
+        Relative error of A.
+    dt : float, bool or None
+    states : tuple of str
+    linear : bool
+        A is the whole system, and not a Jacobian.
+    system : System or None
+        What A was computed from, at x0 and u0.
+    x0, u0 : array, shape (n,) and (m,)
+    """
+
+    A: np.ndarray
+    B: np.ndarray | None
+    rational: RationalMatrix | None
+    precision: float
+    dt: float | bool | None
+    states: tuple[str, ...]
+    linear: bool
+    system: System | None = None
+    x0: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    u0: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+
+def linear_part(
+    system_or_A: Any, x0: Any = None, u0: Any = None, *, dt: float | bool | None = None
+) -> LinearPart:
+    """Return the matrix of a matrix, a linear system or an equilibrium.
+
+    Parameters
+    ----------
+    system_or_A, x0, u0, dt
+        As `stability` takes them.
+
+    Returns
+    -------
+    LinearPart
+
+    Raises
+    ------
+    NotAnEquilibriumError, TypeError, ValueError
+        As `stability` does.
+    """
+    if hasattr(system_or_A, "tolist") or isinstance(system_or_A, list | tuple | str | Number):
+        if x0 is not None or u0 is not None:
+            raise ValueError("x0 and u0 belong to a nonlinear system; a matrix takes neither")
+        rational = as_rational(system_or_A)
+        A = _as_floats(system_or_A) if rational is None else rational.floats()
+        states = tuple(f"x[{i}]" for i in range(len(A)))
+        return LinearPart(A, None, rational, EPS, dt, states, True)
+    import control
+
+    if dt is not None:
+        _validate.is_discrete(dt)
+    view = as_system(system_or_A, x0, u0, dt=dt)
+    if isinstance(view.source, control.StateSpace):
+        if x0 is not None:  # any point will do, but not a point of another space
+            _validate.array("x0", x0, (view.n,))
+        A, B = np.asarray(view.source.A), np.asarray(view.source.B)
+        return LinearPart(A, B, None, EPS, view.dt, view.states, True)
+    if x0 is None:
+        if not view.linear:
+            raise ValueError(
+                "x0 is required: a nonlinear system's stability is that of one of its equilibria"
+            )
+        x0 = np.zeros(view.n)
+    linear = linearize(view, x0, u0)
+    A, B = np.asarray(linear.A), np.asarray(linear.B)[:, : view.m]
+    x = np.asarray(x0, dtype=float)
+    u = np.zeros(view.m) if u0 is None else np.asarray(u0, dtype=float)
+    _, error = derivative(
+        lambda x: view.probe(x, np.repeat(u[:, None], x.shape[1], axis=1)), x[:, None]
+    )
+    size = float(np.linalg.norm(A))
+    precision = max(EPS, float(np.linalg.norm(error)) / size) if size > 0 else EPS
+    return LinearPart(A, B, None, precision, view.dt, view.states, view.linear, view, x, u)
+
+
+def continuous_part(system_or_A: Any, x0: Any = None, u0: Any = None) -> LinearPart:
+    """Return the matrix of a system in continuous time; one in discrete time is refused."""
+    part = linear_part(system_or_A, x0, u0)
+    if _validate.is_discrete(part.dt):
+        raise ValueError(
+            f"system_or_A must be in continuous time, got a system with dt = {part.dt}"
+        )
+    return part
+
+
+def _as_floats(matrix: Any) -> np.ndarray:
+    try:
+        return _validate.square("system_or_A", matrix)
+    except TypeError:  # fractions or SymPy's numbers, and floats among them
+        rational = as_rational(matrix, floats=True)
+        if rational is None:
+            raise
+        return rational.floats()
