@@ -12,6 +12,7 @@ import numpy as np
 from statebook import _validate
 from statebook.timescale import bernstein
 from statebook.timescale.grid import Grid
+from statebook.timescale.path import Path
 
 Terms = tuple[np.ndarray | None, np.ndarray, np.ndarray | None]
 TORQUE_DEGREE = 6  # of the polynomials that stand for torques within an interval
@@ -233,19 +234,30 @@ def bounds(name: str, value: Any, rows: int) -> tuple[np.ndarray, np.ndarray]:
             )
         return lower, upper
     upper = np.broadcast_to(given, rows).copy()
-    if np.any(upper <= 0):
+    if np.any(upper < 0) or (given.ndim == 0 and given == 0):
         raise ValueError(f"{name} must be greater than 0, or pairs (lower, upper), got {value!r}")
     return -upper, upper
 
 
+def require_joints(name: str, value: Any, path: Path) -> None:
+    """Explain limits for as many joints as the path has waypoints."""
+    length, count = np.shape(value)[:1], path.waypoints
+    if length == (count,) and count not in (0, path.dof):
+        raise ValueError(
+            f"{name} is given for {count} joints, but the path has {path.dof} joints and {count} "
+            "waypoints: Path.through takes one waypoint in each column; if each row is one, pass "
+            "waypoints.T"
+        )
+
+
 def joint_bounds(name: str, value: Any, dof: int) -> tuple[np.ndarray, np.ndarray]:
-    """Read a velocity or acceleration limit: the bounds must enclose 0."""
+    """Read a velocity or acceleration limit: the bounds must allow standing still."""
     lower, upper = bounds(name, value, dof)
-    bad = np.flatnonzero((lower >= 0) | (upper <= 0))
+    bad = np.flatnonzero((lower > 0) | (upper < 0))
     if len(bad):
         j = int(bad[0])
         raise ValueError(
-            f"{name} must have lower < 0 < upper, or no motion can begin and end; got "
+            f"{name} must have lower <= 0 <= upper, or no motion can begin and end; got "
             f"({lower[j]:g}, {upper[j]:g}) for joint {j}"
         )
     return lower, upper

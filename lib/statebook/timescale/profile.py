@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import cmath
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -41,6 +43,18 @@ def travel_time(h: np.ndarray, x0: np.ndarray, x1: np.ndarray, bulge: np.ndarray
 def _quotient(value: np.ndarray, argument: np.ndarray) -> np.ndarray:
     """Return f(y) / y for functions with f'(0) = 1, which have no cancellation there."""
     return np.divide(value, argument, out=np.ones_like(argument), where=argument > 0)
+
+
+def _advance(lib: Any, x0: Any, u0: Any, rate: Any, t: Any) -> tuple[Any, Any, Any]:
+    """Return s, s' and s'' after a time t from s = 0, s'^2 = x0, s'' = u0; s'' = u0 + rate s.
+
+    With complex numbers the exponentials of rate > 0 and the sines of rate < 0 are one formula.
+    """
+    half = lib.sqrt(rate + 0j) * (t / 2) + 1e-300
+    cosh, sinc = lib.cosh(half).real, (lib.sinh(half) / half).real * (t / 2)
+    v0 = lib.sqrt(x0).real
+    s = 2 * sinc * (v0 * cosh + u0 * sinc)
+    return s, v0 * (cosh**2 + rate * sinc**2) + 2 * u0 * sinc * cosh, u0 + rate * s
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,19 +108,25 @@ class Profile:
     def locate(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return the interval, s minus its left end, s' and s'' at times t (M,)."""
         i = np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, len(self.x0) - 1)
-        t = t - self.times[i]
-        h, v0 = self.grid.h[i], np.sqrt(self.x0[i])
-        u0 = (self.x1 - self.x0 - self.bulge)[i] / (2 * h)
-        rate = self.bulge[i] / h**2
-        omega = np.sqrt(np.abs(rate))
-        half = omega * t / 2
-        up = rate > 0
-        sinh = np.where(up, np.sinh(np.where(up, half, 0.0)), np.sin(half))
-        cosh = np.where(up, np.cosh(np.where(up, half, 0.0)), np.cos(half))
-        sinc = _quotient(sinh, half) * t / 2
-        ds = np.clip(2 * sinc * (v0 * cosh + u0 * sinc), 0.0, h)
-        speed = v0 * (cosh**2 + rate * sinc**2) + 2 * u0 * sinc * cosh
-        return i, ds, np.maximum(speed, 0.0), u0 + rate * ds
+        ds, speed, u = _advance(np, self.x0[i], self._first_u[i], self._rate[i], t - self.times[i])
+        return i, np.clip(ds, 0.0, self.grid.h[i]), np.maximum(speed, 0.0), u
+
+    def locate_one(self, t: float) -> tuple[int, float, float, float]:
+        """Return the same for a single time, without the cost of arrays."""
+        i = min(max(int(self.times.searchsorted(t, side="right")) - 1, 0), len(self.x0) - 1)
+        start = (self.x0[i], self._first_u[i], self._rate[i], t - self.times[i])
+        ds, speed, u = _advance(cmath, *(float(value) for value in start))
+        return i, min(max(ds, 0.0), float(self.grid.h[i])), max(speed, 0.0), u
+
+    @cached_property
+    def _first_u(self) -> np.ndarray:
+        """The rate s'' at the left ends of the intervals."""
+        return (self.x1 - self.x0 - self.bulge) / (2 * self.grid.h)
+
+    @cached_property
+    def _rate(self) -> np.ndarray:
+        """Slope ds''/ds in the intervals."""
+        return self.bulge / self.grid.h**2
 
     def slower(self, factor: float) -> Profile:
         """Return the profile of the same motion that takes factor times as long."""
@@ -203,7 +223,7 @@ def audit(profile: Profile, limits: Sequence[Limit]) -> Audit:
                     row=row,
                     use=float(use),
                     time=profile.time_at(i, fraction),
-                    s=float(profile.grid.s[i] + fraction * profile.grid.h[i]),
+                    s=float(profile.grid.s_at(np.array([fraction]))[0, i]),
                     exact=exact,
                 )
             )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,14 @@ import scipy
 
 from statebook import _validate
 from statebook.errors import InfeasiblePathError
-from statebook.timescale.grid import lay_grid
-from statebook.timescale.limits import DENSE, Limit, TorqueLimit, kinematic_limits
+from statebook.timescale.grid import Grid, lay_grid
+from statebook.timescale.limits import (
+    DENSE,
+    Limit,
+    TorqueLimit,
+    kinematic_limits,
+    require_joints,
+)
 from statebook.timescale.path import Path
 from statebook.timescale.profile import Profile, audit
 from statebook.timescale.rows import MARGIN
@@ -21,6 +28,8 @@ from statebook.timescale.timed_path import TimedPath
 from statebook.timescale.torques import torque_limit
 
 _COARSE = 48  # intervals of the first grid
+_ENDS = np.array([0.0, 1.0])
+_SMALL = 1e-9  # part of a scale that counts as 0
 _ROUNDING = 1e-12  # of the audit; a motion that it slows down is then inside the limits
 
 
@@ -45,8 +54,8 @@ def time_scale(
     Parameters
     ----------
     path : Path
-        Where p' jumps the motion stops (`TimedPath.stops`); pieces along which nothing moves are
-        skipped (`TimedPath.skipped`); a path of no length takes no time.
+        Where its direction jumps the motion stops (`TimedPath.stops`); pieces along which nothing
+        moves are skipped (`TimedPath.skipped`).
     velocity, acceleration : float > 0 or array, shape (dof,) or (dof, 2), optional
         Bounds on each joint, one number for plus and minus or pairs (lower, upper) around 0;
         infinity stands for no bound.
@@ -88,6 +97,8 @@ def time_scale(
     """
     if not isinstance(path, Path):
         raise TypeError(f"path must be a Path; make one with Path.through, got {path!r}")
+    for name, value in (("velocity", velocity), ("acceleration", acceleration)):
+        require_joints(name, value, path)
     limits = kinematic_limits(velocity, acceleration, speed, path.dof)
     if (torque is None) != (inverse_dynamics is None):
         raise ValueError("torque and inverse_dynamics must be given together")
@@ -105,18 +116,50 @@ def time_scale(
             "give an acceleration or a torque limit: without one nothing bounds the acceleration, "
             "and the fastest motion starts with a jump"
         )
+    grid, stops, skipped = lay_grid(path, start_speed, end_speed, _COARSE)
+    limits = [_without_zeros(limit, grid) for limit in limits]
     _check_speed(path, limits, path.s_start, "start_speed", start_speed)
     _check_speed(path, limits, path.s_end, "end_speed", end_speed)
-    grid, stops, skipped = lay_grid(path, start_speed, end_speed, _COARSE)
-    if not grid.sections:
-        empty = Profile(grid, *(np.zeros(0),) * 3, np.zeros((2, 0, 2)))
-        return TimedPath(path, stops, skipped, 0.0, empty, tuple(limits))
     try:
         profile, gap = fastest(limits, grid, tolerance)
         profile = _within_limits(limits, profile)
     except StuckError as stuck:
         raise explain(stuck) from None
     return TimedPath(path, stops, skipped, gap, profile, tuple(limits))
+
+
+def _without_zeros(limit: Limit, grid: Grid) -> Limit:
+    """Refuse bounds of 0 on what must not be 0; elsewhere put rounding in their place."""
+    zero = np.stack([limit.lower == 0, limit.upper == 0])
+    if limit.kind not in ("velocity", "acceleration") or not zero.any():
+        return limit
+    left, right = (slope / np.maximum(np.abs(slope).max(), 1e-300) for slope in grid.path(_ENDS, 1))
+    moves = [(left, range(len(left))), (right, range(len(right)))]
+    if limit.kind == "acceleration":  # only at the ends of sections must its sign be that of p'
+        moves = [
+            (left, [part.first for part in grid.sections if part.start == 0]),
+            (-right, [part.last - 1 for part in grid.sections if part.end == 0]),
+        ]
+    for slope, intervals in moves:
+        for side, sign, none in (("upper", 1, zero[1]), ("lower", -1, zero[0])):
+            bad = [
+                (i, j) for i in intervals for j in np.flatnonzero(none & (sign * slope[i] > _SMALL))
+            ]
+            if bad:
+                i, j = bad[0]
+                s = float(grid.s[i])
+                raise InfeasiblePathError(
+                    f"the path cannot be driven within the limits: the {limit.name(j, side)} is 0, "
+                    f"and near s = {s:.6g} the joint must go beyond it",
+                    constraint=limit.name(j, side),
+                    s=s,
+                )
+    tiny = _SMALL * limit.scale
+    return replace(
+        limit,
+        lower=np.where(zero[0], -tiny, limit.lower),
+        upper=np.where(zero[1], tiny, limit.upper),
+    )
 
 
 def _check_speed(path: Path, limits: Sequence[Limit], s: float, name: str, speed: float) -> None:

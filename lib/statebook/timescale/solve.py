@@ -99,9 +99,8 @@ def _slopes(profile: Profile) -> tuple[np.ndarray, np.ndarray]:
     At the ends of a section both are the one there is; 0 if there is none.
     """
     grid = profile.grid
-    middle = grid.s + grid.h / 2
     u = (profile.x1 - profile.x0) / (2 * grid.h)
-    slope = np.diff(u) / np.diff(middle)
+    slope = np.diff(u) / ((grid.h[1:] + grid.h[:-1]) / 2)
     before, after = np.append(0.0, slope), np.append(slope, 0.0)
     for part in grid.sections:
         if part.last - part.first == 1:

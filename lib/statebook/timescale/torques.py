@@ -47,7 +47,7 @@ def torque_limit(path: Path, torque: Any, inverse_dynamics: Any) -> TorqueLimit:
 
 def _rows(function: Callable[..., Any], q: np.ndarray) -> int:
     """Return the number of rows of the function's values."""
-    value = np.asarray(function(q, np.zeros_like(q), np.zeros_like(q)))
+    value = np.array(function(q, np.zeros_like(q), np.zeros_like(q)))
     if value.ndim != 1 or value.dtype.kind not in "iuf":
         raise ValueError(
             "inverse_dynamics must return a real vector (rows,) for q, qd, qdd of shape (dof,); "
@@ -63,7 +63,9 @@ def _vectorized(
 
     def one_by_one(q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
         return np.array(
-            [function(q[:, i], qd[:, i], qdd[:, i]) for i in range(q.shape[1])], dtype=float
+            # Copied at once: it may be the function's own buffer.
+            [np.array(function(q[:, i], qd[:, i], qdd[:, i])) for i in range(q.shape[1])],
+            dtype=float,
         ).T.reshape(rows, q.shape[1])
 
     def finite(values: np.ndarray, q: np.ndarray) -> np.ndarray:
@@ -76,7 +78,7 @@ def _vectorized(
         return values
 
     if takes_batches(function, q, slope, slope[::-1], alone=function, rtol=1e-9):
-        return lambda q, qd, qdd: finite(np.asarray(function(q, qd, qdd), dtype=float), q)
+        return lambda q, qd, qdd: finite(np.array(function(q, qd, qdd), dtype=float), q)
     return lambda q, qd, qdd: finite(one_by_one(q, qd, qdd), q)
 
 
