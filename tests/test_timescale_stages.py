@@ -15,6 +15,7 @@ from statebook.timescale.solve import _first_scale, refine
 from statebook.timescale.stages import fastest_profile
 from statebook.timescale.torques import torque_limit
 
+LINE = sb.Path.through([[0.0, 1.0]])
 ARM = sb.PlanarArm(lengths=(0.5, 0.4), masses=(2.0, 1.0))
 Z = np.linspace(0, 1, 101)
 
@@ -26,7 +27,7 @@ def some_limits(kind: str, path: sb.Path) -> list[Limit]:
         return [torque_limit(path, bounds, ARM.inverse_dynamics)]
     pairs = np.array([[-0.7, 1.0], [-1.6, 1.2]])
     chosen = {"velocity": (pairs, None, None), "acceleration": (None, pairs, None)}
-    return kinematic_limits(*chosen.get(kind, (None, None, 1.3)), 2)
+    return kinematic_limits(*chosen.get(kind, (None, None, 1.3)), path)
 
 
 def at_the_edge(rows, scale: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -154,13 +155,13 @@ def test_the_bend_that_keeps_a_profile_at_its_velocity_limit(joint: int, bounds:
 
 def straight(intervals: int, speed: np.ndarray) -> tuple[list[Limit], Profile]:
     """A straight line under an acceleration of 1 with given s'^2 at the gridpoints."""
-    grid, _, _ = lay_grid(sb.Path.through([[0.0, 1.0]]), 0.0, 0.0, intervals)
+    grid, _, _ = lay_grid(LINE, 0.0, 0.0, intervals)
     x0, x1 = speed[:-1], speed[1:]
     s = np.linspace(0, 1, intervals + 1)
     edge = 2 * (1 - s)
     sets = np.zeros((2, intervals, 2))
     sets[1] = np.stack([edge[:-1], edge[1:]], axis=1)
-    limits = kinematic_limits(None, 1.0, None, 1)
+    limits = kinematic_limits(None, 1.0, None, LINE)
     return limits, Profile(grid, x0, x1, np.zeros(intervals), sets)
 
 
@@ -203,7 +204,7 @@ def test_intervals_in_which_a_bottleneck_ends_are_split() -> None:
 )
 def test_a_bend_is_no_larger_than_the_mean_of_the_ends(speed: list, expected: list) -> None:
     _, profile = straight(len(speed) - 1, np.array(speed, dtype=float))
-    _, curvature, _ = refine(kinematic_limits(None, 100.0, None, 1), profile, 10.0)
+    _, curvature, _ = refine(kinematic_limits(None, 100.0, None, LINE), profile, 10.0)
     assert curvature == pytest.approx(expected, abs=1e-12)
 
 
@@ -230,9 +231,9 @@ def test_the_first_guess_of_the_speed_is_what_brakes_away_in_time() -> None:
     # braking, at 3/2; joint 1, which moves the other way, bounds the gain of speed.
     path = sb.Path.through([[0.0, 2.0], [0.0, -1.0]])
     grid, _, _ = lay_grid(path, 0.0, 0.0, 10)
-    limits = kinematic_limits(None, [[-3.0, np.inf], [-5.0, np.inf]], None, 2)
+    limits = kinematic_limits(None, [[-3.0, np.inf], [-5.0, np.inf]], None, path)
     assert _first_scale(limits, grid) == pytest.approx(3 * (1 - grid.s))
-    limits += kinematic_limits([1.0, 2.0], None, None, 2)
+    limits += kinematic_limits([1.0, 2.0], None, None, path)
     assert _first_scale(limits, grid) == pytest.approx(np.minimum(3 * (1 - grid.s), 0.25))
 
 
@@ -240,7 +241,7 @@ def test_a_joint_that_nothing_holds_is_reported_where_it_moves() -> None:
     path = sb.Path.through([[0, 1, 1, 1.0], [0, 0, 1, 2]], kind="linear")
     grid, _, _ = lay_grid(path, 0.0, 0.0, 9)
     with pytest.raises(ValueError, match=r"unbounded at s = 0\.333333"):
-        _first_scale(kinematic_limits(None, [1.0, np.inf], None, 2), grid)
+        _first_scale(kinematic_limits(None, [1.0, np.inf], None, path), grid)
 
 
 def test_a_function_for_batches_is_called_with_batches() -> None:

@@ -111,6 +111,7 @@ def lay_grid(
     end_speed: float,
     intervals: int,
     cuts: np.ndarray | None = None,
+    halts: np.ndarray | None = None,
 ) -> tuple[Grid, tuple[float, ...], tuple[tuple[float, float], ...]]:
     """Find the sections of a path and cut them into about so many intervals.
 
@@ -119,16 +120,19 @@ def lay_grid(
     grid : Grid
         With no interval where nothing moves along the whole path.
     stops : tuple of float
-        Values of s inside the path where its direction jumps, so that the motion must stop.
+        Values of s inside the path where its direction jumps or it halts, so that it must stop.
     skipped : tuple of (float, float)
         Intervals of s where nothing moves; they take no time.
     """
-    pieces = smooth_pieces(path, np.zeros(0) if cuts is None else cuts)
+    halts = np.zeros(0) if halts is None else halts
+    pieces = smooth_pieces(path, halts if cuts is None else np.concatenate([halts, cuts]))
     kept = np.flatnonzero(pieces.moving)
     if not len(kept):
         raise ValueError("the path must move: all its points are the same, to within rounding")
     follows = kept[1:] == kept[:-1] + 1
     smooth = follows & pieces.smooth[kept[:-1]]
+    joints = pieces.origin[kept[1:], None]
+    smooth &= ~np.isclose(joints, halts, rtol=0, atol=1e-9 * pieces.width.sum()).any(axis=1)
     bounds = np.concatenate([[0], np.flatnonzero(~smooth) + 1, [len(kept)]])
     rest_left, rest_right = pieces.rest[:, kept]
     sections = [

@@ -10,6 +10,7 @@ import numpy as np
 import scipy
 
 from statebook import _validate
+from statebook.timescale.wrapping import unwrapped
 
 _KINDS = ("cubic", "linear")
 _SAME = 1e-8  # waypoints nearer to each other than this part of the path's extent are one
@@ -41,7 +42,7 @@ class Path:
 
     curve: Any
     _end: np.ndarray | None = field(default=None, kw_only=True)  # free of rounding
-    _waypoints: int = field(default=0, kw_only=True)  # their number, for messages
+    _waypoints: np.ndarray | None = field(default=None, kw_only=True)  # s there
 
     def __post_init__(self) -> None:
         curve = _piecewise(self.curve)
@@ -75,6 +76,7 @@ class Path:
         kind: str = "cubic",
         bc_type: Any = "not-a-knot",
         s: Any = None,
+        wrap: Any = None,
     ) -> Path:
         """Return the path through waypoints.
 
@@ -92,6 +94,10 @@ class Path:
             End conditions of the spline, as in ``scipy.interpolate.CubicSpline``.
         s : array, shape (N,), increasing, optional
             Path parameter at the waypoints; uniform on [0, 1] by default.
+        wrap : bool or float, or array of these, shape (dof,), optional
+            True for a joint on a circle, or the length of its turn if that is not 2 pi: each
+            waypoint is then moved by whole turns to be the short way from the one before.
+            Left out: no joint is, with a warning where the angles look as if one were.
 
         Returns
         -------
@@ -113,27 +119,29 @@ class Path:
                 "waypoints must have shape (dof, N) with at least two waypoints, one in each "
                 f"column; got {points.shape}"
             )
+        points = unwrapped(points, wrap)
         _validate.choice("kind", kind, _KINDS)
         dof, count = points.shape
         _require_columns("s", np.shape(s), (count,), points)
         knots = np.linspace(0, 1, count) if s is None else _validate.real_array("s", s, (count,))
         if np.any(np.diff(knots) <= 0):
             raise ValueError(f"s must increase from waypoint to waypoint, got {knots}")
-        end = points[:, -1].copy()
+        end, marks = points[:, -1].copy(), knots
         if kind == "linear":
             points = _repeats_made_exact(points)
             slopes = (np.diff(points) / np.diff(knots)).T
             curve = scipy.interpolate.PPoly(np.stack([slopes, points[:, :-1].T]), knots)
         else:
             if not isinstance(bc_type, str):
-                for end in bc_type:
-                    if not isinstance(end, str):
-                        _require_columns("a vector in bc_type", np.shape(end[1]), (dof,), points)
+                for condition in bc_type:
+                    if not isinstance(condition, str):
+                        vector = np.shape(condition[1])
+                        _require_columns("a vector in bc_type", vector, (dof,), points)
             kept = _distinct(points, knots)
             knots = knots[kept]
             curve = scipy.interpolate.CubicSpline(knots, points[:, kept], axis=1, bc_type=bc_type)
             curve = scipy.interpolate.PPoly(np.moveaxis(curve.c, -1, 2).copy(), knots)
-        return cls(curve, _end=end, _waypoints=count)
+        return cls(curve, _end=end, _waypoints=marks)
 
     def __repr__(self) -> str:
         pieces = len(self.curve.x) - 1
@@ -143,7 +151,12 @@ class Path:
     @property
     def waypoints(self) -> int:
         """Number of the waypoints it was made through; 0 for a curve given as such."""
-        return self._waypoints
+        return 0 if self._waypoints is None else len(self._waypoints)
+
+    @property
+    def waypoint_s(self) -> np.ndarray:
+        """Path parameter at the waypoints, or at the knots of a curve given as such, (N,)."""
+        return np.asarray(self.curve.x if self._waypoints is None else self._waypoints)
 
     @property
     def dof(self) -> int:

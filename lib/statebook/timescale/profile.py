@@ -5,7 +5,7 @@ from __future__ import annotations
 import cmath
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -96,14 +96,14 @@ class Profile:
         """Return s'' at fractions z (K,) of the intervals, shape (K, N)."""
         return (self.x1 - self.x0 - self.bulge * (1 - 2 * z[:, None])) / (2 * self.grid.h)
 
-    def time_at(self, interval: int, z: float) -> float:
-        """Return the time at a fraction of an interval."""
-        if z == 0:
-            return float(self.times[interval])
-        x = self.x(np.array([z]))[0, interval]
-        bulge = self.bulge[interval] * z * z
-        step = travel_time(z * self.grid.h[interval], self.x0[interval], x, bulge)
-        return float(self.times[interval] + step)
+    def time_at(self, interval: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """Return the times at fractions z (M,) of intervals (M,)."""
+        x0, x1, bulge = self.x0[interval], self.x1[interval], self.bulge[interval]
+        x = np.maximum(x0 * (1 - z) + x1 * z - bulge * z * (1 - z), 0.0)
+        inside = z > 0
+        x0, x = np.where(inside, x0, 1.0), np.where(inside, x, 1.0)
+        step = travel_time(z * self.grid.h[interval], x0, x, bulge * z * z)
+        return np.asarray(self.times[interval] + step)
 
     def locate(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return the interval, s minus its left end, s' and s'' at times t (M,)."""
@@ -143,9 +143,10 @@ class Use:
     Attributes
     ----------
     limit : str
-        "velocity", "acceleration", "speed" or "torque".
+        "velocity", "acceleration", "speed", "norm of acceleration", "torque", or one of the
+        first four with "tool" before it.
     row : int
-        Joint, or row of the torques.
+        Joint, axis of the tool, or row of the torques.
     use : float
         The quantity over its bound at the worst instant: at most 1 if the limit holds. Of a
         torque range that does not enclose 0: 1 plus the excess over the larger bound.
@@ -188,10 +189,10 @@ class Audit:
         return len(self.uses)
 
     def __repr__(self) -> str:
-        lines = ["limit         row    use       time         s"]
+        lines = ["limit                 row    use       time         s"]
         for u in self.uses:
             lines.append(
-                f"{u.limit:<12}{u.row:>5}{u.use + 0.0:>7.4f}{u.time + 0.0:>11.4g}{u.s + 0.0:>10.4g}"
+                f"{u.limit:<20}{u.row:>5}{u.use + 0.0:>7.4f}{u.time + 0.0:>11.4g}{u.s + 0.0:>10.4g}"
             )
         return "\n".join(lines)
 
@@ -206,9 +207,11 @@ def audit(profile: Profile, limits: Sequence[Limit]) -> Audit:
     uses: list[Use] = []
     for limit in limits:
         exact = limit.kind != "torque"
-        z = bernstein.nodes(limit.degree(profile.grid)) if exact else np.linspace(0, 1, DENSE)
+        degree = limit.degree(profile.grid) * (2 if limit.norm else 1)
+        z = bernstein.nodes(degree) if exact else np.linspace(0, 1, DENSE)
         sampled = limit.use(profile.grid, z, profile.u(z), profile.x(z))
         highest, places = _maxima(profile, limit, z) if exact else (sampled.max(axis=(0, 1)), [])
+        highest = highest + limit.uncertainty(profile.grid, z, profile.u(z), profile.x(z))
         for row, use in enumerate(highest):
             # Limits are reached again and again: name the first time, whatever the rounding.
             reached = sampled[:, :, row] >= use - _SAME * abs(use)
@@ -222,7 +225,7 @@ def audit(profile: Profile, limits: Sequence[Limit]) -> Audit:
                     limit=limit.kind,
                     row=row,
                     use=float(use),
-                    time=profile.time_at(i, fraction),
+                    time=float(profile.time_at(np.array([i]), np.array([fraction]))[0]),
                     s=float(profile.grid.s_at(np.array([fraction]))[0, i]),
                     exact=exact,
                 )
@@ -234,23 +237,31 @@ def _maxima(
     profile: Profile, limit: Limit, z: np.ndarray
 ) -> tuple[np.ndarray, list[tuple[int, float]]]:
     """Return the largest use of each row, and the interval and the fraction of it where it is."""
-    to_bernstein = bernstein.from_values(len(z) - 1)
+    transform = partial(bernstein.along, bernstein.from_values(len(z) - 1))
     values = limit.values(profile.grid, z, profile.u(z), profile.x(z))
-    coefficients = bernstein.along(to_bernstein, values)
-    sides: list[tuple[np.ndarray, np.ndarray | None]]
-    if isinstance(limit, VelocityLimit) and not np.array_equal(limit.upper, -limit.lower):
-        slope = bernstein.along(to_bernstein, profile.grid.path(z, 1))
-        sides = [(limit.upper**2, slope), (limit.lower**2, -slope)]
-    elif limit.squared:
-        sides = [(limit.upper**2, None)]
+    lower, upper = limit.bounds(profile.grid, z)
+    if limit.norm:
+        values = (values**2).sum(axis=2, keepdims=True)
+    coefficients = transform(values)
+    sides: list[tuple[np.ndarray, np.ndarray, np.ndarray | None]]
+    if isinstance(limit, VelocityLimit) and not np.array_equal(upper, -lower):
+        slope = transform(limit.motion(profile.grid, z, 1))
+        sides = [(coefficients, upper**2, slope), (coefficients, lower**2, -slope)]
+    elif limit.squared or limit.norm:
+        sides = [(coefficients, upper**2, None)]
     else:
-        sides = [(limit.upper, None), (limit.lower, None)]
-    found = [bernstein.maxima(coefficients / bound, sign) for bound, sign in sides]
+        sides = [(coefficients, upper, None), (-coefficients, -lower, None)]
+    found = [
+        bernstein.maxima(part / bound, sign)
+        if bound.ndim == 1
+        else bernstein.ratio_maxima(part, transform(np.minimum(bound, 1e300)), sign)
+        for part, bound, sign in sides
+    ]
     use, interval, fraction = (np.stack(values) for values in zip(*found, strict=True))
     side, rows = use.argmax(axis=0), np.arange(use.shape[1])
     highest = np.maximum(use[side, rows], 0.0)
     places = list(zip(interval[side, rows].tolist(), fraction[side, rows].tolist(), strict=True))
-    return (np.sqrt(highest) if limit.squared else highest), places
+    return (np.sqrt(highest) if limit.squared or limit.norm else highest), places
 
 
 def static_torques_hold(profile: Profile, limits: Sequence[Limit]) -> bool:

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from statebook.timescale import bernstein
 from statebook.timescale.grid import Grid
-from statebook.timescale.limits import Limit
+from statebook.timescale.limits import SIDES, Limit, polygon
 
 MARGIN = 1e-9  # of every limit, left to rounding
 FREE = 1e6  # bound on s'^2, in units of the scale, where nothing else binds it
@@ -54,37 +55,41 @@ def stage_rows(
         z = bernstein.nodes(degree)
         to_bernstein = bernstein.from_values(degree)
         a, b, c = limit.terms(grid, z, scale)
-        z = z[:, None]
+        fraction = z[:, None]
         rho = curvature / 2
         # x(z) = scale (x x̂ + w ŵ) and s'' = scale (dx x̂ + dw ŵ)/(2 h), coefficients by z:
-        w = b * (scale * (z - rho * z * (1 - z)))[:, :, None]
-        x = b * (scale * (1 - 2 * rho * z * (1 - z)))[:, :, None]
+        w = b * (scale * (fraction - rho * fraction * (1 - fraction)))[:, :, None]
+        x = b * (scale * (1 - 2 * rho * fraction * (1 - fraction)))[:, :, None]
         if a is not None:
             rate = scale / (2 * grid.h)
-            w += a * (rate * (1 - rho * (1 - 2 * z)))[:, :, None]
-            x += a * (rate * (-2 * rho * (1 - 2 * z)))[:, :, None]
+            w += a * (rate * (1 - rho * (1 - 2 * fraction)))[:, :, None]
+            x += a * (rate * (-2 * rho * (1 - 2 * fraction)))[:, :, None]
         w, x = bernstein.along(to_bernstein, w), bernstein.along(to_bernstein, x)
+        transform = partial(bernstein.along, to_bernstein)
+        labelled = range(w.shape[2])
         if limit.squared:
-            slope = bernstein.along(
-                bernstein.from_values(degree), grid.path(bernstein.nodes(degree), 1)
-            )
-            sides = [("upper", 1 / limit.squared_bounds(slope), np.full_like(w, -1.0))]
-        elif c is None:
-            sides = [
-                ("upper", 1 / limit.upper, np.full_like(w, -1.0)),
-                ("lower", 1 / limit.lower, np.full_like(w, -1.0)),
-            ]
+            bounds = [("upper", 1.0, limit.squared_bounds(grid, z, transform))]
         else:
-            c = bernstein.along(to_bernstein, c)
-            sides = [
-                (side, sign / limit.scale, sign * (c - bound) / limit.scale)
-                for side, sign, bound in (("upper", 1, limit.upper), ("lower", -1, limit.lower))
-            ]
-        for side, factor, constant in sides:
-            ws.append(_by_interval(w * factor))
-            xs.append(_by_interval(x * factor))
-            cs.append(_by_interval(constant))
-            labels += [(limit, row, side) for _ in range(len(w)) for row in range(w.shape[2])]
+            lower, upper = limit.bounds(grid, z)
+            if upper.ndim > 1:
+                lower, upper = transform(lower), transform(upper)
+            bounds = [("upper", 1.0, upper), ("lower", -1.0, lower)]
+        if limit.norm:
+            w, x = polygon(w, x)
+            bounds = [("upper", 1.0, upper * np.cos(np.pi / (2 * SIDES)))]
+            labelled = [0] * SIDES
+        for side, sign, bound in bounds:
+            size = limit.scale
+            if c is None:
+                size = np.abs(bound).max(axis=0) if bound.ndim == 3 else np.abs(bound)
+            level = 0.0 if c is None else transform(c)
+            with np.errstate(invalid="ignore"):
+                constant = sign * (level - bound) / size
+            constant = np.where(np.isnan(constant), -1.0, constant) + limit.margin
+            ws.append(_by_interval(w * (sign / size)))
+            xs.append(_by_interval(x * (sign / size)))
+            cs.append(_by_interval(np.broadcast_to(constant, w.shape)))
+            labels += [(limit, row, side) for _ in range(len(w)) for row in labelled]
     return _normalized(
         np.concatenate(ws, 1), np.concatenate(xs, 1), np.concatenate(cs, 1) + MARGIN, labels
     )

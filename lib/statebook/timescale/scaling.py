@@ -11,20 +11,17 @@ import scipy
 
 from statebook import _validate
 from statebook.errors import InfeasiblePathError
+from statebook.timescale.bounds import require_joints
+from statebook.timescale.ends import Pauses, read_dwell, speed_at_end, take
 from statebook.timescale.grid import Grid, lay_grid
-from statebook.timescale.limits import (
-    DENSE,
-    Limit,
-    TorqueLimit,
-    kinematic_limits,
-    require_joints,
-)
+from statebook.timescale.limits import DENSE, Limit, TorqueLimit, kinematic_limits
 from statebook.timescale.path import Path
 from statebook.timescale.profile import Profile, audit
 from statebook.timescale.rows import MARGIN
 from statebook.timescale.solve import PASSES, fastest, solve
 from statebook.timescale.stages import StuckError
 from statebook.timescale.timed_path import TimedPath
+from statebook.timescale.tool import tool_limits
 from statebook.timescale.torques import torque_limit
 
 _COARSE = 48  # intervals of the first grid
@@ -38,11 +35,19 @@ def time_scale(
     velocity: Any = None,
     acceleration: Any = None,
     *,
-    speed: float | None = None,
+    speed: Any = None,
+    acceleration_norm: Any = None,
     torque: Any = None,
     inverse_dynamics: Any = None,
+    tool_speed: Any = None,
+    tool_acceleration: Any = None,
+    forward_kinematics: Any = None,
     start_speed: float = 0.0,
     end_speed: float = 0.0,
+    start_velocity: Any = None,
+    end_velocity: Any = None,
+    duration: float | None = None,
+    dwell: Any = None,
     tolerance: float = 1e-3,
 ) -> TimedPath:
     """Time a path as fast as limits allow, inside them always.
@@ -56,19 +61,33 @@ def time_scale(
     path : Path
         Where its direction jumps the motion stops (`TimedPath.stops`); pieces along which nothing
         moves are skipped (`TimedPath.skipped`).
-    velocity, acceleration : float > 0 or array, shape (dof,) or (dof, 2), optional
-        Bounds on each joint, one number for plus and minus or pairs (lower, upper) around 0;
-        infinity stands for no bound.
-    speed : float > 0, optional
-        Bound on the Euclidean norm of the velocity.
-    torque : float > 0 or array, shape (rows,) or (rows, 2), optional
-        Bounds on the rows of the inverse dynamics.
+    velocity, acceleration : float > 0, array or callable, optional
+        Bounds on each joint: one number for plus and minus; shape (dof,), or (dof, 2) for pairs
+        (lower, upper) around 0; (dof, N) or (dof, 2, N) at each of N waypoints, linear in s
+        between them; or a function of s that returns one of the first three. Infinity stands for
+        no bound. A function is looked at in 64 pieces of the path; it may jump.
+    speed, acceleration_norm : float > 0, array, shape (N,), or callable, optional
+        Bound on the Euclidean norm of the velocity, and of the acceleration.
+    torque : float > 0, array or callable, optional
+        Bounds on the rows of the inverse dynamics, given like those of joints; they need not
+        enclose 0.
     inverse_dynamics : callable, optional
         (q, qd, qdd) -> (rows,) or (rows, N): any number of rows, affine in qdd, quadratic in qd,
         without a jump along the path.
+    tool_speed, tool_acceleration : float > 0, array or callable, optional
+        Bounds on the motion of the tool: a number, or (N,) at the waypoints, on the Euclidean
+        norm; shape (m,), (m, 2), (m, N) or (m, 2, N) on each axis.
+    forward_kinematics : callable
+        q -> (m,) or (m, N), the tool's position, smooth along the path.
     start_speed, end_speed : float >= 0
         ds/dt at the ends. Where p' = 0 at an end the robot is at rest whatever s' is: there the
         default 0 leaves s' free.
+    start_velocity, end_velocity : array, shape (dof,), optional
+        Velocities of the joints at the ends instead: along the path, as it takes no others.
+    duration : float > 0, optional
+        Time the motion is to take, pauses included, in place of the shortest one.
+    dwell : array, shape (N,), or mapping, optional
+        How long the motion rests at each of N waypoints, or {index of waypoint: time} [s].
     tolerance : float > 0
         Part of the duration by which the optimum may be missed, as estimated by refinement.
 
@@ -99,16 +118,20 @@ def time_scale(
         raise TypeError(f"path must be a Path; make one with Path.through, got {path!r}")
     for name, value in (("velocity", velocity), ("acceleration", acceleration)):
         require_joints(name, value, path)
-    limits = kinematic_limits(velocity, acceleration, speed, path.dof)
+    limits = kinematic_limits(velocity, acceleration, speed, path, acceleration_norm)
+    limits += tool_limits(path, tool_speed, tool_acceleration, forward_kinematics)
     if (torque is None) != (inverse_dynamics is None):
         raise ValueError("torque and inverse_dynamics must be given together")
-    start_speed = _validate.non_negative("start_speed", start_speed)
-    end_speed = _validate.non_negative("end_speed", end_speed)
+    start_speed = speed_at_end(path, "start", start_speed, start_velocity)
+    end_speed = speed_at_end(path, "end", end_speed, end_velocity)
+    pauses = read_dwell(path, dwell, start_speed, end_speed)
+    if duration is not None:
+        duration = _validate.positive("duration", duration)
     tolerance = _validate.positive("tolerance", tolerance)
     if torque is not None:
         limits.append(torque_limit(path, torque, inverse_dynamics))
     if not any(
-        limit.kind in ("acceleration", "torque")
+        limit.kind.endswith(("acceleration", "torque"))
         and np.isfinite(np.concatenate([limit.lower, limit.upper])).any()
         for limit in limits
     ):
@@ -116,16 +139,27 @@ def time_scale(
             "give an acceleration or a torque limit: without one nothing bounds the acceleration, "
             "and the fastest motion starts with a jump"
         )
-    grid, stops, skipped = lay_grid(path, start_speed, end_speed, _COARSE)
+    cuts = [curve.x for limit in limits for curve in (limit.along, limit.curve) if curve]
+    halts = path.waypoint_s[pauses > 0]
+    grid, stops, skipped = lay_grid(
+        path, start_speed, end_speed, _COARSE, np.concatenate([[], *cuts]), halts
+    )
     limits = [_without_zeros(limit, grid) for limit in limits]
-    _check_speed(path, limits, path.s_start, "start_speed", start_speed)
-    _check_speed(path, limits, path.s_end, "end_speed", end_speed)
+    _check_speed(grid, limits, path.s_start, "start_speed", start_speed)
+    _check_speed(grid, limits, path.s_end, "end_speed", end_speed)
     try:
         profile, gap = fastest(limits, grid, tolerance)
+        gap += max(limit.loss for limit in limits)
         profile = _within_limits(limits, profile)
     except StuckError as stuck:
         raise explain(stuck) from None
-    return TimedPath(path, stops, skipped, gap, profile, tuple(limits))
+    if duration is not None:
+        shortest = profile.duration
+        profile = take(limits, profile, duration, float(pauses.sum()), path.s_end)
+        gap = 1 - (1 - gap) * shortest / profile.duration
+    timed = TimedPath(path, stops, skipped, gap, profile, tuple(limits))
+    begin = np.atleast_1d(timed.time_at(halts))
+    return replace(timed, _pauses=Pauses(begin, pauses[pauses > 0]))
 
 
 def _without_zeros(limit: Limit, grid: Grid) -> Limit:
@@ -162,17 +196,16 @@ def _without_zeros(limit: Limit, grid: Grid) -> Limit:
     )
 
 
-def _check_speed(path: Path, limits: Sequence[Limit], s: float, name: str, speed: float) -> None:
+def _check_speed(grid: Grid, limits: Sequence[Limit], s: float, name: str, speed: float) -> None:
     """Refuse a speed at an end of the path that exceeds a velocity limit there."""
-    velocity = path(s, 1) * speed
-    norm = np.array([np.linalg.norm(velocity)])
+    grid, middle = grid.at(np.array([s])), np.zeros(1)
+    x = ((speed * grid.stretch) ** 2)[None]
     for limit in limits:
         if limit.squared:
-            value = velocity if limit.kind == "velocity" else norm
-            use = np.maximum(value / limit.upper, value / limit.lower)
+            use = limit.use(grid, middle, np.zeros_like(x), x)[0, 0]
             row = int(use.argmax())
             if use[row] > 1 + MARGIN:
-                side = "upper" if value[row] > 0 else "lower"
+                side = "upper" if limit.motion(grid, middle, 1)[0, 0, row] > 0 else "lower"
                 raise InfeasiblePathError(
                     f"{name} = {speed:g} must keep the limits: it uses {use[row]:.4g} times the "
                     f"{limit.name(row, side)} at s = {s:g}",
@@ -186,7 +219,7 @@ def _within_limits(limits: Sequence[Limit], profile: Profile) -> Profile:
     torques = [limit for limit in limits if isinstance(limit, TorqueLimit)]
     if not torques:
         factor = max(
-            use.use if use.limit != "acceleration" else np.sqrt(use.use)
+            np.sqrt(use.use) if use.limit.endswith("acceleration") else use.use
             for use in audit(profile, limits)
         )
         return profile.slower(factor * (1 + _ROUNDING)) if factor > 1 else profile

@@ -167,12 +167,13 @@ def solve(
     curvature: np.ndarray,
     scale: np.ndarray,
     sketch: bool,
+    slowest: bool = False,
 ) -> Profile:
     """Solve the stages, with a better scale or more room for rounding where it is needed."""
     margin = MARGIN
     while True:
         try:
-            profile = fastest_profile(limits, grid, curvature, scale, margin, sketch)
+            profile = fastest_profile(limits, grid, curvature, scale, margin, sketch, slowest)
         except StuckError:
             if margin > _LARGEST_MARGIN / 10:
                 raise

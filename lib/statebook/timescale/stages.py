@@ -85,8 +85,11 @@ def fastest_profile(
     scale: np.ndarray,
     margin: float = MARGIN,
     sketch: bool = False,
+    slowest: bool = False,
 ) -> Profile:
     """Solve all stages: backward the controllable sets, forward the fastest motion in them.
+
+    Or a slow one, that goes to the lowest speed in them at every stage.
 
     The controllable sets are narrowed by a margin for the solver's rounding, so that the forward
     pass does not get stuck.
@@ -98,14 +101,14 @@ def fastest_profile(
     """
     rows = stage_rows(limits, grid, curvature, scale, sketch)
     solve = _stage_solver(rows)
-    floors = any(limit.kind == "torque" for limit in limits)
+    floors = slowest or any(limit.kind == "torque" for limit in limits)
     sets = np.zeros((2, len(scale), 2))
     x = np.zeros((2, len(scale)))
     units, steps = scale.tolist(), rows.step.tolist()
     for section in grid.sections:
         try:
             low, high = _controllable(solve, section, units, steps, floors, margin)
-            _drive(solve, section, units, steps, low, high, x)
+            _drive(solve, section, units, steps, low, high, x, slowest)
         except StuckError as stuck:
             stuck.grid, stuck.rows = grid, rows
             raise
@@ -163,9 +166,14 @@ def _drive(
     low: list[float],
     high: list[float],
     x: np.ndarray,
+    slowest: bool,
 ) -> None:
-    """Fill in the fastest motion through a section: from each x the largest next one."""
-    speed = high[0] if section.start is None else section.start
+    """Fill in the fastest motion through a section: from each x the largest next one.
+
+    The slowest is filled in the same way, with the smallest.
+    """
+    direction = -_FASTEST_RIGHT if slowest else _FASTEST_RIGHT
+    speed = (low if slowest else high)[0] if section.start is None else section.start
     too_slow = speed < low[0] * (1 - 4 * MARGIN)
     if too_slow or speed > high[0] * (1 + 4 * MARGIN):
         raise _obstacle(solve, section, units, steps, speed, too_slow)
@@ -173,7 +181,7 @@ def _drive(
         stage = section.first + i
         unit = units[stage]
         here = speed / unit
-        w = solve(stage, None, _FASTEST_RIGHT, here, here, low[i + 1] / unit, high[i + 1] / unit)[0]
+        w = solve(stage, None, direction, here, here, low[i + 1] / unit, high[i + 1] / unit)[0]
         if w != w:
             raise StuckError(stage, here, (low[i + 1] / unit, high[i + 1] / unit))
         x[0, stage] = speed

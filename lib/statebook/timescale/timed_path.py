@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from statebook import _validate
+from statebook.timescale.ends import Pauses
 from statebook.timescale.grid import Grid
-from statebook.timescale.limits import Limit
+from statebook.timescale.limits import Limit, polygon
 from statebook.timescale.path import Path, horner
 from statebook.timescale.profile import Audit, Profile, audit, static_torques_hold
 
@@ -31,18 +32,22 @@ def maximum_speeds(grid: Grid, limits: Sequence[Limit], s: np.ndarray) -> np.nda
     gs, bs, cs = [], [], []
     for limit in limits:
         inertial, quadratic, static = limit.terms(grid, middle, np.ones(len(s)))
+        lower, upper = limit.bounds(grid, middle)
+        if limit.norm and inertial is not None:
+            inertial, quadratic = polygon(inertial, quadratic)
+            lower = np.full_like(upper, -np.inf)
         slope = quadratic[0]
         if limit.squared:
             size = limit.scale**2
-            sides = [(1.0, limit.squared_bounds(grid.path(middle, 1)))]
+            sides = [(1.0, limit.squared_bounds(grid, middle))]
         else:
             size = limit.scale
             shift = np.zeros_like(slope) if static is None else static[0]
-            sides = [(1.0, limit.upper - shift), (-1.0, shift - limit.lower)]
+            sides = [(1.0, upper - shift), (-1.0, shift - lower)]
         for sign, bound in sides:
             gs.append(np.zeros_like(slope) if inertial is None else sign * inertial[0] / size)
             bs.append(sign * slope / size)
-            cs.append(np.broadcast_to(bound / size, slope.shape))
+            cs.append(np.broadcast_to(bound / size, (1, *slope.shape))[0])
     g, b, c = (np.concatenate(parts, axis=1) for parts in (gs, bs, cs))
     highest = np.full(len(s), np.inf)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -89,6 +94,7 @@ class TimedPath:
     gap: float
     _profile: Profile
     _limits: tuple[Limit, ...]
+    _pauses: Pauses = field(default_factory=Pauses)
 
     def __repr__(self) -> str:
         stops = f", stops at s = {', '.join(f'{s:.4g}' for s in self.stops)}" if self.stops else ""
@@ -96,8 +102,41 @@ class TimedPath:
 
     @property
     def duration(self) -> float:
-        """Time the motion takes [s]."""
-        return self._profile.duration
+        """Time the motion takes, pauses included [s]."""
+        return self._profile.duration + float(self._pauses.length.sum())
+
+    def time_at(self, s: Any) -> Any:
+        """Return when the motion arrives at s.
+
+        Parameters
+        ----------
+        s : float or array, shape (N,)
+            Between the ends of the path. Where nothing moves: when that part is reached.
+
+        Returns
+        -------
+        float or array, shape (N,) [s]
+
+        Examples
+        --------
+        >>> from statebook import Path, time_scale
+        >>> timed = time_scale(Path.through([[0.0, 1.0]]), acceleration=1.0)
+        >>> round(timed.time_at(0.5), 6)
+        1.0
+        """
+        s = _validate.real_array("s", s)
+        self.path(s)  # refuses what is not on the path
+        start, end = self._profile.grid.s_at(np.array([0.0, 1.0]))
+        places = np.atleast_1d(s)
+        i = np.maximum(np.searchsorted(start, places, side="right") - 1, 0)
+        z = np.clip((places - start[i]) / (end[i] - start[i]), 0.0, 1.0)
+        times = self._pauses.clock(self._profile.time_at(i, z))
+        return times if s.ndim else float(times[0])
+
+    @cached_property
+    def arrival_times(self) -> np.ndarray:
+        """When the motion arrives at the waypoints, `Path.waypoint_s`, shape (N,) [s]."""
+        return np.asarray(self.time_at(self.path.waypoint_s))
 
     def position(self, t: Any) -> np.ndarray:
         """Return the joint positions, which are points of the path.
@@ -146,13 +185,14 @@ class TimedPath:
         s, sdot, sddot : float or array, shape (N,)
         """
         t = self._times(t)
-        i, ds, speed, rate = self._profile.locate(np.atleast_1d(t))
+        moving, paused = self._pauses.moving(np.atleast_1d(t))
+        i, ds, speed, rate = self._profile.locate(moving)
         grid = self._profile.grid
         k = grid.piece[i]
         stretch = grid.pieces.stretch[k]
         s = grid.pieces.origin[k] + (grid.offset[i] + ds) / stretch
         s = np.clip(s, self.path.s_start, self.path.s_end)
-        values = s, speed / stretch, rate / stretch
+        values = s, np.where(paused, 0.0, speed / stretch), np.where(paused, 0.0, rate / stretch)
         return values if t.ndim else tuple(float(value[0]) for value in values)
 
     @cached_property
@@ -173,7 +213,7 @@ class TimedPath:
     def times(self) -> np.ndarray:
         """Times of the gridpoints, shape (M,), strictly increasing [s]."""
         times = self._profile.times
-        return self._gridpoints(times[:-1], times[1:])
+        return self._pauses.clock(self._gridpoints(times[:-1], times[1:]))
 
     @cached_property
     def controllable(self) -> np.ndarray:
@@ -208,7 +248,9 @@ class TimedPath:
 
     @cached_property
     def _audit(self) -> Audit:
-        return audit(self._profile, self._limits)
+        found = audit(self._profile, self._limits)
+        clock = self._pauses.clock
+        return Audit(tuple(replace(u, time=float(clock(np.array(u.time)))) for u in found))
 
     def slower(self, factor: float) -> TimedPath:
         """Return the same motion, uniformly slowed down.
@@ -233,7 +275,9 @@ class TimedPath:
                 "the motion cannot be slowed down: somewhere on the path the load of the robot at "
                 "rest exceeds a torque limit"
             )
-        return replace(self, _profile=self._profile.slower(factor))
+        return replace(
+            self, _profile=self._profile.slower(factor), _pauses=self._pauses.slower(factor)
+        )
 
     def to_trajectory(self, dt: float) -> Trajectory:
         """Return samples at multiples of dt, the last one at the end of the path.
@@ -279,8 +323,11 @@ class TimedPath:
 
     def _derivative(self, t: np.ndarray, order: int) -> np.ndarray:
         """Return the position, velocity or acceleration at times t, (dof,) or (dof, N)."""
-        locate: Callable[[Any], tuple[Any, ...]] = self._profile.locate
-        i, ds, speed, rate = locate(t) if t.ndim else self._profile.locate_one(float(t))
+        moving, paused = self._pauses.moving(t)
+        if order and not t.ndim and paused:
+            return np.zeros(self.path.dof)
+        profile = self._profile
+        i, ds, speed, rate = profile.locate(moving) if t.ndim else profile.locate_one(float(moving))
         grid = self._profile.grid
         k, pieces, c = grid.piece[i], grid.pieces, self.path.curve.c
         stretch, source = pieces.stretch[k], pieces.source[k]
@@ -291,6 +338,8 @@ class TimedPath:
         elif order == 2:
             value *= np.asarray(rate / stretch)[..., None]
             value += np.asarray((speed / stretch) ** 2)[..., None] * horner(c, source, offset, 2)
+        if order and t.ndim:
+            value[paused] = 0.0
         return value.T
 
     def _gridpoints(self, left: np.ndarray, right: np.ndarray) -> np.ndarray:

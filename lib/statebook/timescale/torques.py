@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from statebook.probes import takes_batches
-from statebook.timescale.limits import TorqueLimit, bounds
+from statebook.timescale.bounds import read_bounds
+from statebook.timescale.limits import TorqueLimit
 from statebook.timescale.path import Path
 
 _SAMPLES = 5
@@ -40,9 +41,9 @@ def torque_limit(path: Path, torque: Any, inverse_dynamics: Any) -> TorqueLimit:
     q, slope = path(s), path(s, 1)
     rows = _rows(inverse_dynamics, q[:, 0])
     dynamics = _vectorized(inverse_dynamics, q, slope, rows)
-    lower, upper = bounds("torque", torque, rows)
+    lower, upper, along = read_bounds("torque", torque, rows, path, around_zero=False)
     _check_form(dynamics, q, slope)
-    return TorqueLimit("torque", lower, upper, dynamics)
+    return TorqueLimit("torque", lower, upper, dynamics, along=along)
 
 
 def _rows(function: Callable[..., Any], q: np.ndarray) -> int:
