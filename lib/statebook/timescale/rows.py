@@ -23,9 +23,12 @@ MARGIN = 1e-9  # of every limit, left to rounding
 FREE = 1e6  # bound on s'^2, in units of the scale, where nothing else binds it
 
 
+_BLOCK = 1000  # intervals at a time
+
+
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Inequalities w ŵ + x x̂ + c <= 0 of each interval, (N, M); labels name the columns.
+    """Inequalities w ŵ + x x̂ + c <= 0 of each interval, (N, M); labels[which] name them.
 
     x̂ is s'^2 at the left end in units of the scale, x̂ + step ŵ at the right end.
     """
@@ -34,24 +37,39 @@ class Rows:
     w: np.ndarray
     x: np.ndarray
     c: np.ndarray
+    which: np.ndarray
     labels: tuple[tuple[Limit, int, str], ...]
 
 
 def stage_rows(
-    limits: Sequence[Limit],
-    grid: Grid,
-    curvature: np.ndarray,
-    scale: np.ndarray,
-    sketch: bool = False,
+    limits: Sequence[Limit], grid: Grid, curvature: np.ndarray, scale: np.ndarray, top: np.ndarray
 ) -> Rows:
     """Return the inequalities of all intervals, each of unit gradient.
 
-    For a sketch they are those of speeds at the ends of the intervals and of the other limits
-    in the middle: nearly right, and not on the safe side.
+    Those that hold for every s'^2 below top, (2, N) at the ends of the intervals, are left out;
+    for want of another in their place they say 0 <= 1.
     """
+    parts: list[Rows] = []
+    for first in range(0, len(grid.h), _BLOCK):
+        block = slice(first, first + _BLOCK)
+        args = curvature[block], scale[block], top[:, block] / scale[block]
+        parts.append(_block_rows(limits, grid.part(block), *args))
+    columns = max(part.w.shape[1] for part in parts)
+    padded = [
+        [np.pad(m, [(0, 0), (0, columns - m.shape[1])], constant_values=value) for m, value in
+        ((part.w, 0.0), (part.x, 0.0), (part.c, -1.0), (part.which, 0))]
+        for part in parts
+    ]
+    w, x, c, which = (np.concatenate(m) for m in zip(*padded, strict=True))
+    return Rows(np.concatenate([part.step for part in parts]), w, x, c, which, parts[0].labels)
+
+
+def _block_rows(
+    limits: Sequence[Limit], grid: Grid, curvature: np.ndarray, scale: np.ndarray, top: np.ndarray
+) -> Rows:
     ws, xs, cs, labels = [], [], [], []
     for limit in limits:
-        degree = int(limit.squared) if sketch else limit.degree(grid)
+        degree = limit.degree(grid)
         z = bernstein.nodes(degree)
         to_bernstein = bernstein.from_values(degree)
         a, b, c = limit.terms(grid, z, scale)
@@ -90,9 +108,13 @@ def stage_rows(
             xs.append(_by_interval(x * (sign / size)))
             cs.append(_by_interval(np.broadcast_to(constant, w.shape)))
             labels += [(limit, row, side) for _ in range(len(w)) for row in labelled]
-    return _normalized(
-        np.concatenate(ws, 1), np.concatenate(xs, 1), np.concatenate(cs, 1) + MARGIN, labels
-    )
+    w, x, c = np.concatenate(ws, 1), np.concatenate(xs, 1), np.concatenate(cs, 1) + MARGIN
+    left, right = top[:, :, None]
+    idle = np.maximum(x - w, 0) * left + np.maximum(w, 0) * right <= -c
+    count = int((~idle).sum(axis=1).max(initial=1))
+    which = np.argsort(idle, axis=1, kind="stable")[:, :count]
+    w, x, c, idle = (np.take_along_axis(m, which, 1) for m in (w, x, c, idle))
+    return _normalized(w, x, c, idle, which, labels)
 
 
 def _by_interval(values: np.ndarray) -> np.ndarray:
@@ -100,16 +122,21 @@ def _by_interval(values: np.ndarray) -> np.ndarray:
     return values.transpose(1, 0, 2).reshape(values.shape[1], -1)
 
 
-def _normalized(w: np.ndarray, x: np.ndarray, c: np.ndarray, labels: list[Any]) -> Rows:
+def _normalized(
+    w: np.ndarray,
+    x: np.ndarray,
+    c: np.ndarray,
+    idle: np.ndarray,
+    which: np.ndarray,
+    labels: list[Any],
+) -> Rows:
     """Balance both unknowns, and scale rows to unit gradient, as the solver's tolerance needs.
 
-    A row that no motion in reach can violate says 0 <= 1. Steps are powers of two, for the solver
-    adds them up and takes differences again.
+    Steps are powers of two, for the solver adds them up and takes differences again.
     """
     c = np.maximum(c, -1e100)  # an infinite bound
-    idle = np.hypot(w, x) * FREE < -c
     with np.errstate(divide="ignore", invalid="ignore"):
-        reach = np.where(w == 0, np.inf, (np.abs(x) + np.abs(c)) / np.abs(w)).min(axis=1)
+        reach = np.where(idle | (w == 0), np.inf, (np.abs(x) + np.abs(c)) / np.abs(w)).min(axis=1)
         step = np.exp2(np.clip(np.round(np.log2(reach)), -20, 0))
     w = w * step[:, None]
     size = np.hypot(w, x)
@@ -117,4 +144,4 @@ def _normalized(w: np.ndarray, x: np.ndarray, c: np.ndarray, labels: list[Any]) 
     factor[idle] = 0.0
     c = c * factor
     c[idle] = -1.0
-    return Rows(step, w * factor, x * factor, c, tuple(labels))
+    return Rows(step, w * factor, x * factor, c, which, tuple(labels))

@@ -1,0 +1,271 @@
+"""What no motion can exceed: a bound on s'^2 along the path, and the least time it leaves.
+
+Where tau = a u + b x + c with x = s'^2 and u = x'/2 is at most tau_max and a keeps its sign,
+
+    d/ds (a^2 E x) = 2 a E (tau - c),   E = exp(integral of 2 (b - a')/a),
+
+so that both bounds on tau bound the change of a^2 E x over an interval: for the acceleration of a
+joint, where b = a' and E = 1, the change of the square of its velocity. These inequalities, and
+those that hold at single points, are necessary. The largest x that satisfies them all lies above
+every motion, and the time it takes below every time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from statebook.timescale.grid import Grid, Section
+from statebook.timescale.limits import Limit
+from statebook.timescale.profile import travel_time
+
+_COUNT = 5
+_NODES = (1 - np.cos(np.linspace(0, np.pi, _COUNT))) / 2  # of each interval
+_ORDERS = np.arange(_COUNT)
+_TO_POWERS = np.linalg.inv(_NODES[:, None] ** _ORDERS)
+_SLOPES = (_ORDERS * _NODES[:, None] ** np.maximum(_ORDERS - 1, 0)) @ _TO_POWERS
+_AREAS = (_NODES[:, None] ** (_ORDERS + 1) / (_ORDERS + 1)) @ _TO_POWERS  # from 0 to the nodes
+_FLAT = 1e-9  # part of a row's largest a in the interval that counts as 0
+_STEEP = 3.0  # log E may change by so much in an interval, or the inequality is left out
+_ROUNDING = 1e-9
+_BLOCK = 2000  # intervals at a time
+_NEWTON = 30
+_ANY = 1e150  # stands for no bound
+_BEND = 1.2  # between nodes bounds are taken for quadratics, bent by this much more
+
+
+@dataclass(frozen=True, eq=False)
+class Ceiling:
+    """Bounds on every motion: s'^2 at both ends of the intervals, (2, N), and the times (N,)."""
+
+    x: np.ndarray
+    times: np.ndarray
+
+    @property
+    def duration(self) -> float:
+        """No motion takes less."""
+        return float(self.times.sum())
+
+
+def ceiling(limits: Sequence[Limit], grid: Grid) -> Ceiling:
+    """Bound every motion from above.
+
+    Parameters
+    ----------
+    limits : sequence of Limit
+    grid : Grid
+        The finer it is, the sharper is the bound.
+    """
+    blocks = [
+        slice(first, min(first + _BLOCK, len(grid.h))) for first in range(0, len(grid.h), _BLOCK)
+    ]
+    parts = [_changes_and_caps(limits, grid.part(block)) for block in blocks]
+    x = _highest_motion(parts, grid.sections, len(grid.h))
+    times = [
+        _least_times(*part, x[:, block], grid.h[block])
+        for part, block in zip(parts, blocks, strict=True)
+    ]
+    return Ceiling(x, np.concatenate(times))
+
+
+class Changes(NamedTuple):
+    """Bounds at the nodes of the intervals: low <= m x - m0 x0 <= high, each (K, N, R).
+
+    x0 and m0 are those at the left end. Where m vanishes within, at a turn of the row, the parts
+    on both sides stand alone: low <= -m0 x0 to the left of it, m x <= high to the right.
+    """
+
+    m: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    turn: np.ndarray  # (N, R), bool
+
+
+def _changes_and_caps(limits: Sequence[Limit], grid: Grid) -> tuple[Changes, np.ndarray]:
+    """Return the changes of all rows, and the cap on x (K, N) at the nodes of the intervals."""
+    cap = np.full((_COUNT, len(grid.h)), np.inf)
+    rows, changes = [], []
+    for limit in limits:
+        a, b, c = limit.terms(grid, _NODES, np.ones(len(grid.h)))
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            if a is None:
+                bound = limit.squared_bounds(grid.path(_NODES, 1))
+                room = np.where(b > 0, bound / b, np.inf) * (1 + _ROUNDING)
+                cap = np.minimum(cap, room.min(axis=2))
+                continue
+            shift = 0.0 if c is None else c
+            lower, upper = (np.broadcast_to(v - shift, b.shape) for v in (limit.lower, limit.upper))
+            a = np.where(np.abs(a) > _FLAT * np.abs(a).max(axis=0), a, 0.0)
+            changes.append(_changes(a, b, lower, upper, grid.h))
+            rows.append([(v / limit.scale)[[0, -1]] for v in (a, b, lower, upper)])
+    every = Changes(*(np.concatenate(values, axis=-1) for values in zip(*changes, strict=True)))
+    a, b, lower, upper = (np.concatenate(values, axis=2) for values in zip(*rows, strict=True))
+    cap[[0, -1]] = np.minimum(cap[[0, -1]], _highest(a, b, lower, upper))
+    # The same for x at one end and at the other, in the place of x and u.
+    m0, m1 = every.m[0], every.m[-1]
+    low, high = (
+        np.where(every.turn, v, ends[-1]) for v, ends in ((-np.inf, every.low), (np.inf, every.high))
+    )
+    cap[0] = np.minimum(cap[0], _highest(m1, -m0, low, high))
+    cap[-1] = np.minimum(cap[-1], _highest(-m0, m1, low, high))
+    return every, cap
+
+
+def _changes(
+    a: np.ndarray, b: np.ndarray, lower: np.ndarray, upper: np.ndarray, h: np.ndarray
+) -> Changes:
+    """Return the changes of m x with m = a^2 E."""
+    h = h[:, None]
+    drift = b - np.tensordot(_SLOPES, a, 1) / h
+    size = np.abs(a).max(axis=0)
+    small = np.abs(drift) <= _ROUNDING * (np.abs(b).max(axis=0) + size / h)
+    rate = np.where(small, 0.0, 2 * h * drift / a)
+    forward, backward = (a >= 0).all(axis=0), (a <= 0).all(axis=0)
+    usable = (forward | backward) & (size > 0) & (np.abs(rate) <= _STEEP).all(axis=0)
+    growth = np.exp(np.tensordot(_AREAS, np.where(usable, rate, 0.0), 1))
+    weight = 2 * h * a * growth
+    low, high = (
+        np.tensordot(_AREAS, weight * np.where(np.isfinite(v), v, 0.0), 1)
+        for v in (np.where(forward, lower, upper), np.where(forward, upper, lower))
+    )
+    low -= _ROUNDING * np.abs(low)
+    high += _ROUNDING * np.abs(high)
+    free = ~np.isfinite(lower).all(axis=0), ~np.isfinite(upper).all(axis=0)
+    low[:, ~usable | np.where(forward, *free)] = -np.inf
+    high[:, ~usable | np.where(forward, *free[::-1])] = np.inf
+    turn = small.all(axis=0) & (np.count_nonzero(np.diff(a > 0, axis=0), axis=0) == 1)
+    turn &= ~(forward | backward)
+    if turn.any():
+        low[:, turn], high[:, turn] = _beside_turn(
+            a[:, turn], lower[:, turn], upper[:, turn], np.broadcast_to(h, turn.shape)[turn]
+        )
+    return Changes(a * a * growth, low, high, turn)
+
+
+def _beside_turn(
+    a: np.ndarray, lower: np.ndarray, upper: np.ndarray, h: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return low and high (K, C) where a changes its sign once and E = 1."""
+    powers = _TO_POWERS @ a
+    left, right = np.zeros(len(h)), np.ones(len(h))
+    for _ in range(50):
+        middle = (left + right) / 2
+        before = (np.polynomial.polynomial.polyval(middle, powers, tensor=False) > 0) == (a[0] > 0)
+        left, right = np.where(before, middle, left), np.where(before, right, middle)
+    bound = np.where(a[-1] > 0, upper, lower)
+    finite = np.isfinite(bound).all(axis=0)
+    weight = _TO_POWERS @ (2 * h * a * np.where(finite, bound, 0.0))
+    area = np.polynomial.polynomial.polyint(weight)
+    at = np.polynomial.polynomial.polyval(_NODES, area).T
+    turn = np.polynomial.polynomial.polyval(left, area, tensor=False)
+    node = _NODES[:, None]
+    low = np.where((node < left) & finite, at - _ROUNDING * np.abs(at), np.inf)
+    low[-1] = np.where(finite, turn - _ROUNDING * np.abs(turn), -np.inf)
+    high = np.where((node > left) & finite, at - turn, np.inf)
+    return low, high + _ROUNDING * np.where(np.isfinite(high), np.abs(high), 0.0)
+
+
+def _highest(a: np.ndarray, b: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Return the largest x for which some u satisfies lower <= a u + b x <= upper in all rows.
+
+    All arguments are (..., R). The least u that the rows allow is convex in x, the greatest
+    concave: from above, Newton's method comes down to where they meet, and never below.
+    """
+    flat = a == 0
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        direct = np.where(b > 0, upper, lower) / b
+        x = np.where(flat & (b != 0) & (direct >= 0), direct, _ANY).min(axis=-1)
+        pole = np.where(flat, 1.0, a)
+        slope = -b / pole
+        low = np.where(flat, -np.inf, np.where(a > 0, lower, upper) / pole)
+        high = np.where(flat, np.inf, np.where(a > 0, upper, lower) / pole)
+        for _ in range(_NEWTON):
+            least = (low + slope * x[..., None]).argmax(axis=-1)[..., None]
+            most = (high + slope * x[..., None]).argmin(axis=-1)[..., None]
+            steep = np.take_along_axis(slope, least, -1) - np.take_along_axis(slope, most, -1)
+            room = np.take_along_axis(high, most, -1) - np.take_along_axis(low, least, -1)
+            meet = np.maximum(room / steep, 0.0)[..., 0]
+            lower_x = np.where((steep[..., 0] > 0) & (meet < x), meet, x)
+            if np.all(lower_x >= x * (1 - 1e-12)):
+                break
+            x = lower_x
+    return np.where(x >= _ANY, np.inf, x * (1 + _ROUNDING))
+
+
+def _highest_motion(
+    parts: Sequence[tuple[Changes, np.ndarray]], sections: Sequence[Section], count: int
+) -> np.ndarray:
+    """Return the largest x at both ends of all intervals, (2, N): backward, then forward."""
+    ends = [(c.m[0], c.m[-1], c.low[-1], c.high[-1], c.turn) for c, _ in parts]
+    m0, m1, low, high, turn = (np.concatenate(values) for values in zip(*ends, strict=True))
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        gain, loss = (np.where((d > 0) & ~turn, n / d, 0.0) for n, d in ((m0, m1), (m1, m0)))
+        more, less = (np.where(d > 0, n / d, np.inf) for n, d in ((high, m1), (-low, m0)))
+    x = np.concatenate([cap[[0, -1]] for _, cap in parts], axis=1)
+    for first, last, start, end in sections:
+        top = np.append(x[0, first:last], x[1, last - 1])
+        top[1:-1] = np.minimum(top[1:-1], x[1, first : last - 1])
+        top[0], top[-1] = (
+            cap if speed is None else speed
+            for cap, speed in ((top[0], start), (top[-1], end))
+        )
+        best = top.tolist()
+        for i in range(last - 1, first - 1, -1):
+            k = i - first
+            best[k] = min(best[k], (loss[i] * best[k + 1] + less[i]).min())
+        for i in range(first, last):
+            k = i - first
+            best[k + 1] = min(best[k + 1], (gain[i] * best[k] + more[i]).min())
+        x[:, first:last] = np.maximum([best[:-1], best[1:]], 0.0)
+    return x
+
+
+def _least_times(changes: Changes, cap: np.ndarray, x: np.ndarray, h: np.ndarray) -> np.ndarray:
+    """Return a time below that of any motion over each interval, given bounds x at its ends."""
+    m, low, high, turn = changes
+    first, last = (np.where(turn, 0.0, m[i] * x[i][:, None]) for i in (0, -1))
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        ahead = np.where(m > 0, (first + high) / m, np.inf).min(axis=2)
+        back = np.where(m > 0, (last - (low[-1] - low)) / m, np.inf)
+    back[-1, turn] = np.inf
+    bounds = np.stack([ahead, back.min(axis=2), cap])
+    for k in range(1, _COUNT):  # where a row begins or ends within, its bound is level there
+        for row, i in ((0, -1 - k), (1, k)):
+            beside = bounds[row, i + 1 - 2 * row]
+            bounds[row, i] = np.where(np.isfinite(bounds[row, i]), bounds[row, i], beside)
+    which = bounds.argmin(axis=0)
+    largest = np.where(np.isfinite(bounds), bounds, 0.0).max(axis=(0, 1))
+    bounds = np.where(np.isfinite(bounds), np.maximum(bounds, 0.0), 1e6 * largest)
+    step = np.diff(_NODES)[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slope = np.diff(bounds, axis=1) / step
+        bend = np.diff(slope, axis=1) / ((step[1:] + step[:-1]) / 2)
+    bend = np.concatenate([bend[:, :1], np.minimum(bend[:, 1:], bend[:, :-1]), bend[:, -1:]], axis=1)
+    bend = _BEND / 2 * np.minimum(bend, 0.0) * step**2
+    total = np.zeros(len(h))
+    for k in range(_COUNT - 1):
+        total += _least_step(bounds[:, k : k + 2], bend[:, k], which[k : k + 2], step[k, 0] * h)
+    return total
+
+
+def _least_step(
+    bounds: np.ndarray, bend: np.ndarray, which: np.ndarray, h: np.ndarray
+) -> np.ndarray:
+    """Return the time under the bound active on the left, and under that on the right.
+
+    bounds (3, 2, N) are values at both ends, bend (3, N) twice the divided differences.
+    """
+    every = np.arange(len(h))
+    (l0, l1), (r0, r1) = (bounds[which[i], :, every].T for i in range(2))
+    ahead, behind = l1 - r1, r0 - l0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        z = np.where(ahead + behind > 0, behind / (ahead + behind), 1.0)
+    z = np.where(which[0] == which[1], 1.0, np.clip(z, 0.0, 1.0))
+    left, right = bend[which[0], every], bend[which[1], every]
+    peak = np.where(z < 1, l0 + z * (l1 - l0) - left * z * (1 - z), r1)
+    peak = np.maximum(peak, 1e-300)
+    time = travel_time(z * h, l0, peak, left * z**2)
+    return time + travel_time((1 - z) * h, peak, r1, right * (1 - z) ** 2)
