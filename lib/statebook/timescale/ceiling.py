@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from statebook.timescale.grid import Grid, Section
-from statebook.timescale.limits import Limit
+from statebook.timescale.limits import Limit, polygon
 from statebook.timescale.profile import travel_time
 
 _COUNT = 5
@@ -92,12 +92,20 @@ def _changes_and_caps(limits: Sequence[Limit], grid: Grid) -> tuple[Changes, np.
         a, b, c = limit.terms(grid, _NODES, np.ones(len(grid.h)))
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             if a is None:
-                bound = limit.squared_bounds(grid.path(_NODES, 1))
-                room = np.where(b > 0, bound / b, np.inf) * (1 + _ROUNDING)
-                cap = np.minimum(cap, room.min(axis=2))
+                for k in range(_COUNT):  # alone: the sign of p' may change between them
+                    bound = limit.squared_bounds(grid, _NODES[k : k + 1])
+                    room = np.where(b[k] > 0, bound / b[k], np.inf).min(axis=-1)
+                    cap[k] = np.minimum(cap[k], room.reshape(-1) * (1 + _ROUNDING + limit.margin))
                 continue
-            shift = 0.0 if c is None else c
-            lower, upper = (np.broadcast_to(v - shift, b.shape) for v in (limit.lower, limit.upper))
+            lower, upper = limit.bounds(grid, _NODES)
+            if limit.norm:
+                a, b = polygon(a, b)
+                lower = np.full_like(upper, -np.inf)
+            slack = limit.margin * limit.scale - (0.0 if c is None else c)
+            lower, upper = (
+                np.broadcast_to(v, b.shape)
+                for v in (lower - 2 * limit.margin * limit.scale + slack, upper + slack)
+            )
             a = np.where(np.abs(a) > _FLAT * np.abs(a).max(axis=0), a, 0.0)
             changes.append(_changes(a, b, lower, upper, grid.h))
             rows.append([(v / limit.scale)[[0, -1]] for v in (a, b, lower, upper)])
@@ -107,7 +115,8 @@ def _changes_and_caps(limits: Sequence[Limit], grid: Grid) -> tuple[Changes, np.
     # The same for x at one end and at the other, in the place of x and u.
     m0, m1 = every.m[0], every.m[-1]
     low, high = (
-        np.where(every.turn, v, ends[-1]) for v, ends in ((-np.inf, every.low), (np.inf, every.high))
+        np.where(every.turn, v, ends[-1])
+        for v, ends in ((-np.inf, every.low), (np.inf, every.high))
     )
     cap[0] = np.minimum(cap[0], _highest(m1, -m0, low, high))
     cap[-1] = np.minimum(cap[-1], _highest(-m0, m1, low, high))
@@ -209,8 +218,7 @@ def _highest_motion(
         top = np.append(x[0, first:last], x[1, last - 1])
         top[1:-1] = np.minimum(top[1:-1], x[1, first : last - 1])
         top[0], top[-1] = (
-            cap if speed is None else speed
-            for cap, speed in ((top[0], start), (top[-1], end))
+            cap if speed is None else speed for cap, speed in ((top[0], start), (top[-1], end))
         )
         best = top.tolist()
         for i in range(last - 1, first - 1, -1):
@@ -243,7 +251,9 @@ def _least_times(changes: Changes, cap: np.ndarray, x: np.ndarray, h: np.ndarray
     with np.errstate(divide="ignore", invalid="ignore"):
         slope = np.diff(bounds, axis=1) / step
         bend = np.diff(slope, axis=1) / ((step[1:] + step[:-1]) / 2)
-    bend = np.concatenate([bend[:, :1], np.minimum(bend[:, 1:], bend[:, :-1]), bend[:, -1:]], axis=1)
+    bend = np.concatenate(
+        [bend[:, :1], np.minimum(bend[:, 1:], bend[:, :-1]), bend[:, -1:]], axis=1
+    )
     bend = _BEND / 2 * np.minimum(bend, 0.0) * step**2
     total = np.zeros(len(h))
     for k in range(_COUNT - 1):

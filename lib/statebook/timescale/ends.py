@@ -114,7 +114,6 @@ def take(
     InfeasiblePathError
         The duration is out of reach.
     """
-    scale = profile.controllable[1, :, 0]
     wanted, shortest = duration - pause, profile.duration
     if wanted < shortest * (1 - 1e-12):
         raise InfeasiblePathError(
@@ -125,8 +124,8 @@ def take(
         )
     if wanted <= shortest:
         return profile
-    scale = profile.controllable[1, :, 0]
-    slow = solve(limits, profile.grid, profile.curvature, scale, sketch=False, slowest=True)
+    top = profile.controllable[1].T
+    slow = solve(limits, profile.grid, profile.curvature, top, slowest=True)
 
     def mixture(logarithm: float) -> Profile:
         part = np.exp(logarithm)

@@ -56,8 +56,10 @@ def stage_rows(
         parts.append(_block_rows(limits, grid.part(block), *args))
     columns = max(part.w.shape[1] for part in parts)
     padded = [
-        [np.pad(m, [(0, 0), (0, columns - m.shape[1])], constant_values=value) for m, value in
-        ((part.w, 0.0), (part.x, 0.0), (part.c, -1.0), (part.which, 0))]
+        [
+            np.pad(m, [(0, 0), (0, columns - m.shape[1])], constant_values=value)
+            for m, value in ((part.w, 0.0), (part.x, 0.0), (part.c, -1.0), (part.which, 0))
+        ]
         for part in parts
     ]
     w, x, c, which = (np.concatenate(m) for m in zip(*padded, strict=True))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -12,6 +13,7 @@ import scipy
 from statebook import _validate
 from statebook.errors import InfeasiblePathError
 from statebook.timescale.bounds import require_joints
+from statebook.timescale.ceiling import ceiling
 from statebook.timescale.ends import Pauses, read_dwell, speed_at_end, take
 from statebook.timescale.grid import Grid, lay_grid
 from statebook.timescale.limits import DENSE, Limit, TorqueLimit, kinematic_limits
@@ -89,7 +91,8 @@ def time_scale(
     dwell : array, shape (N,), or mapping, optional
         How long the motion rests at each of N waypoints, or {index of waypoint: time} [s].
     tolerance : float > 0
-        Part of the duration by which the optimum may be missed, as estimated by refinement.
+        Part of the duration by which the optimum may be missed. Where it cannot be met within
+        some seconds, a warning says what was reached (`TimedPath.gap`).
 
     Returns
     -------
@@ -148,15 +151,20 @@ def time_scale(
     _check_speed(grid, limits, path.s_start, "start_speed", start_speed)
     _check_speed(grid, limits, path.s_end, "end_speed", end_speed)
     try:
-        profile, gap = fastest(limits, grid, tolerance)
-        gap += max(limit.loss for limit in limits)
+        profile, least = fastest(limits, grid, tolerance)
         profile = _within_limits(limits, profile)
     except StuckError as stuck:
         raise explain(stuck) from None
+    gap = max(1 - least / profile.duration, 0.0)
+    if gap > tolerance:
+        warnings.warn(
+            f"tolerance = {tolerance:g} could not be met on this path: the motion found takes at "
+            f"most {gap:.2g} of its duration more than the fastest one (the gap)",
+            stacklevel=2,
+        )
     if duration is not None:
-        shortest = profile.duration
         profile = take(limits, profile, duration, float(pauses.sum()), path.s_end)
-        gap = 1 - (1 - gap) * shortest / profile.duration
+        gap = max(1 - least / profile.duration, 0.0)
     timed = TimedPath(path, stops, skipped, gap, profile, tuple(limits))
     begin = np.atleast_1d(timed.time_at(halts))
     return replace(timed, _pauses=Pauses(begin, pauses[pauses > 0]))
@@ -232,9 +240,8 @@ def _within_limits(limits: Sequence[Limit], profile: Profile) -> Profile:
             axis=0,
         )
         grid, parent, _, _ = profile.grid.split(np.where(use > 1, 2, 1))
-        scale = profile.controllable[1, parent, 0]
         curvature = profile.curvature[parent] * (grid.h / profile.grid.h[parent]) ** 2
-        profile = solve(limits, grid, curvature, scale, sketch=False)
+        profile = solve(limits, grid, curvature, ceiling(limits, grid).x)
     worst = audit(profile, limits).worst
     raise InfeasiblePathError(
         f"the {worst.limit} of row {worst.row} could not be kept within its limit at s = "
@@ -271,7 +278,7 @@ def explain(stuck: StuckError) -> InfeasiblePathError:
     )
     weights = -np.asarray(result.ineqlin.marginals)[:count]
     worst = int(np.argmax(weights))
-    limit, row, side = rows.labels[worst]
+    limit, row, side = rows.labels[rows.which[i, worst]]
     name = limit.name(row, side)
     s = float(grid.s[i])
     advice = "Raise that limit, or change the path or the speeds at its ends"

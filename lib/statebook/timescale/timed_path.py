@@ -76,7 +76,7 @@ class TimedPath:
     skipped : tuple of (float, float)
         Intervals of s along which nothing moves; they take no time.
     gap : float
-        Estimated part of the duration by which the optimum is shorter.
+        Part of the duration by which the optimum is shorter at most: a bound, no estimate.
 
     Examples
     --------
