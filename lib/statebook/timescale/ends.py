@@ -11,7 +11,7 @@ import scipy
 
 from statebook import _validate
 from statebook.errors import InfeasiblePathError
-from statebook.timescale.limits import Limit
+from statebook.timescale.limits import Limit, TorqueLimit
 from statebook.timescale.path import Path
 from statebook.timescale.profile import Profile
 from statebook.timescale.solve import solve
@@ -124,8 +124,11 @@ def take(
         )
     if wanted <= shortest:
         return profile
+    # A slower motion has less drag to brake with: it must do without.
+    torques = [one for one in limits if isinstance(one, TorqueLimit) and one.lines]
+    every = [*limits, *(replace(one, lines=None) for one in torques)]
     top = profile.controllable[1].T
-    slow = solve(limits, profile.grid, profile.curvature, top, slowest=True)
+    slow = solve(every, profile.grid, profile.curvature, top, slowest=True)
 
     def mixture(logarithm: float) -> Profile:
         part = np.exp(logarithm)

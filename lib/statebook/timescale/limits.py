@@ -18,7 +18,7 @@ from statebook.timescale.path import Path
 Terms = tuple[np.ndarray | None, np.ndarray, np.ndarray | None]
 TORQUE_DEGREE = 6  # of the polynomials that stand for torques within an interval
 SIDES = 32  # of the polygon in the half-disc of a norm
-POLYGON_LOSS = 1 - float(np.sqrt(np.cos(np.pi / (2 * SIDES))))  # of the time, at most
+_THIRDS = np.linspace(0, 1, 4)
 DENSE = 17  # points per interval at which torques are looked at
 
 
@@ -85,6 +85,10 @@ class Limit(ABC):
             np.where(np.isfinite(self.lower), lower, -np.inf),
             np.where(np.isfinite(self.upper), upper, np.inf),
         )
+
+    def room(self, grid: Grid) -> np.ndarray | float:
+        """Return the part of the bounds that the rows leave to errors, (1, N, R) or a number."""
+        return self.margin
 
     @abstractmethod
     def terms(self, grid: Grid, z: np.ndarray, speed: np.ndarray) -> Terms:
@@ -283,31 +287,83 @@ class SpeedLimit(Limit):
 
 @dataclass(frozen=True, eq=False)
 class TorqueLimit(Limit):
-    """Rows of an inverse dynamics, tau = a u + b x + c along the path."""
+    """Rows of an inverse dynamics, tau = a u + b x + c + k + d sqrt(x) along the path.
+
+    Attributes
+    ----------
+    dynamics : callable
+    friction : (bool, bool)
+        Whether there is dry friction k, and viscous friction d.
+    sliding : bool
+        Whether dry friction counts.
+    lines : callable, optional
+        Grid to alpha, beta, distance (N,): the line in x that stands for sqrt(x).
+    """
 
     dynamics: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+    friction: tuple[bool, bool] = (False, False)
+    sliding: bool = True
+    lines: Callable[[Grid], tuple[np.ndarray, ...]] | None = None
 
     def degree(self, grid: Grid) -> int:
         return TORQUE_DEGREE
 
-    def terms(self, grid: Grid, z: np.ndarray, speed: np.ndarray) -> Terms:
+    def parts(self, grid: Grid, z: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return a, b, c, k and d at fractions z of the intervals, each (K, N, R)."""
         p, p1, p2 = (grid.path(z, i) for i in range(3))
         shape = p.shape[:2]
         x = np.broadcast_to(np.where(speed > 0, speed, 1.0)[:, None], (*shape, 1))
-        q, v, a, b = (
-            np.moveaxis(y, -1, 0).reshape(p.shape[2], -1)
-            for y in (p, p1 * np.sqrt(x), p1 * x, p2 * x)
-        )
-        still = np.zeros_like(q)
-        c = self.dynamics(q, still, still)
-        rows = (self.dynamics(q, still, a) - c, self.dynamics(q, v, b) - c, c)
-        inertial, centrifugal, static = (
-            np.moveaxis(tau.reshape(-1, *shape), 0, -1) for tau in rows
-        )
-        return inertial / x, centrifugal / x, static
+
+        def torques(velocity: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
+            arguments = (
+                np.moveaxis(y, -1, 0).reshape(p.shape[2], -1) for y in (p, velocity, acceleration)
+            )
+            return np.moveaxis(self.dynamics(*arguments).reshape(-1, *shape), 0, -1)
+
+        still = np.zeros_like(p)
+        c = torques(still, still)
+        a = (torques(still, p1 * x) - c) / x
+        k, d = np.zeros_like(c), np.zeros_like(c)
+        if any(self.friction):
+            slope = _one_sided(p1, grid.path(np.array([0.5]), 1)[0])
+        else:
+            slope = p1
+
+        def moving(factor: float) -> np.ndarray:
+            return torques(slope * factor * np.sqrt(x), p2 * factor**2 * x) - c
+
+        # moving(n) = k + n d sqrt(x) + n^2 b x
+        dry, viscous = self.friction
+        b = moving(1.0)
+        if dry or viscous:
+            one, two = b, moving(2.0)
+            b = (two - 3 * one + 2 * moving(0.5)) / 1.5 if viscous else (two - one) / 3
+            d = two - one - 3 * b if viscous else d
+            k = one - d - b if dry else k
+        return a, b / x, c, k, d / np.sqrt(x)
+
+    def terms(self, grid: Grid, z: np.ndarray, speed: np.ndarray) -> Terms:
+        a, b, c, k, d = self.parts(grid, z, speed)
+        if self.sliding:
+            c = c + k
+        if self.lines is not None:
+            alpha, beta, _ = (line[:, None] for line in self.lines(grid))
+            b, c = b + d * beta, c + d * alpha
+        return a, b, c
+
+    def room(self, grid: Grid) -> np.ndarray | float:
+        if self.lines is None:
+            return self.margin
+        drag = np.abs(self.parts(grid, _THIRDS, np.ones(len(grid.h)))[4]).max(axis=0, keepdims=True)
+        return np.asarray(drag / self.scale * self.lines(grid)[2][:, None])
+
+    def values(self, grid: Grid, z: np.ndarray, u: np.ndarray, x: np.ndarray) -> np.ndarray:
+        a, b, c, k, d = self.parts(grid, z, x.max(axis=0))
+        u, x = u[:, :, None], x[:, :, None]
+        return a * u + b * x + c + (k if self.sliding else 0.0) + d * np.sqrt(x)
 
     def name(self, row: int, side: str) -> str:
-        return f"torque of row {row}, {side} limit"
+        return f"{self.kind} of row {row}, {side} limit"
 
     def misfit(self, grid: Grid, u: Callable[..., Any], x: Callable[..., Any]) -> np.ndarray:
         """Return the part of the bounds by which polynomials miss the torques, (N,).
@@ -315,7 +371,7 @@ class TorqueLimit(Limit):
         u and x give s'' and s'^2, (K, N), at fractions z (K,) of the intervals.
         """
         nodes, dense = bernstein.nodes(TORQUE_DEGREE), np.linspace(0, 1, DENSE)
-        known, actual = (self.values(grid, z, u(z), x(z)) for z in (nodes, dense))
+        known, actual = (Limit.values(self, grid, z, u(z), x(z)) for z in (nodes, dense))
         between = bernstein.to_values(TORQUE_DEGREE, dense) @ bernstein.from_values(TORQUE_DEGREE)
         off = np.abs(bernstein.along(between, known) - actual) / self.scale
         return np.asarray(off.max(axis=(0, 2)))
@@ -334,6 +390,16 @@ def kinematic_limits(
     ):
         if value is not None:
             lower, upper, along = read_bounds(name, value, rows, path)
-            loss = (MISFIT if callable(value) else 0.0) + (POLYGON_LOSS if limit.norm else 0.0)
+            loss = MISFIT if callable(value) else 0.0
             limits.append(limit(kind, lower, upper, along=along, loss=loss))
     return limits
+
+
+def _one_sided(slope: np.ndarray, middle: np.ndarray) -> np.ndarray:
+    """Return slopes (K, N, dof) with the signs they have inside their intervals; rounding is 0.
+
+    middle (N, dof) is the slope there; no joint turns back inside.
+    """
+    largest = np.abs(slope).max(axis=(0, 1))
+    sign = np.where(np.abs(slope).max(axis=0) > 1e-13 * largest, np.sign(middle), 0.0)
+    return sign * np.maximum(sign * slope, 1e-12 * largest)

@@ -206,7 +206,7 @@ def audit(profile: Profile, limits: Sequence[Limit]) -> Audit:
     """
     uses: list[Use] = []
     for limit in limits:
-        exact = limit.kind != "torque"
+        exact = not isinstance(limit, TorqueLimit)
         degree = limit.degree(profile.grid) * (2 if limit.norm else 1)
         z = bernstein.nodes(degree) if exact else np.linspace(0, 1, DENSE)
         sampled = limit.use(profile.grid, z, profile.u(z), profile.x(z))
@@ -262,11 +262,3 @@ def _maxima(
     highest = np.maximum(use[side, rows], 0.0)
     places = list(zip(interval[side, rows].tolist(), fraction[side, rows].tolist(), strict=True))
     return (np.sqrt(highest) if limit.squared or limit.norm else highest), places
-
-
-def static_torques_hold(profile: Profile, limits: Sequence[Limit]) -> bool:
-    """Whether the load of the robot at rest is within the torque limits all along the path."""
-    z = np.linspace(0, 1, DENSE)
-    rest = np.zeros((DENSE, len(profile.x0)))
-    torques = [limit for limit in limits if isinstance(limit, TorqueLimit)]
-    return all(float(limit.use(profile.grid, z, rest, rest).max()) <= 1.0 for limit in torques)

@@ -98,6 +98,7 @@ def _block_rows(
             w, x = polygon(w, x)
             bounds = [("upper", 1.0, upper * np.cos(np.pi / (2 * SIDES)))]
             labelled = [0] * SIDES
+        room = limit.room(grid)
         for side, sign, bound in bounds:
             size = limit.scale
             if c is None:
@@ -105,7 +106,7 @@ def _block_rows(
             level = 0.0 if c is None else transform(c)
             with np.errstate(invalid="ignore"):
                 constant = sign * (level - bound) / size
-            constant = np.where(np.isnan(constant), -1.0, constant) + limit.margin
+            constant = np.where(np.isnan(constant), -1.0, constant) + room
             ws.append(_by_interval(w * (sign / size)))
             xs.append(_by_interval(x * (sign / size)))
             cs.append(_by_interval(np.broadcast_to(constant, w.shape)))

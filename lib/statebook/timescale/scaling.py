@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from statebook.errors import InfeasiblePathError
 from statebook.timescale.bounds import require_joints
 from statebook.timescale.ceiling import ceiling
 from statebook.timescale.ends import Pauses, read_dwell, speed_at_end, take
+from statebook.timescale.friction import at_rest, rests, reversals, settle
 from statebook.timescale.grid import Grid, lay_grid
 from statebook.timescale.limits import DENSE, Limit, TorqueLimit, kinematic_limits
 from statebook.timescale.path import Path
@@ -144,14 +146,25 @@ def time_scale(
         )
     cuts = [curve.x for limit in limits for curve in (limit.along, limit.curve) if curve]
     halts = path.waypoint_s[pauses > 0]
-    grid, stops, skipped = lay_grid(
-        path, start_speed, end_speed, _COARSE, np.concatenate([[], *cuts]), halts
-    )
+    dry = [one for one in limits if isinstance(one, TorqueLimit) and one.friction[0]]
+    if dry:
+        cuts.append(reversals(path))
+    laid = partial(lay_grid, path, start_speed, end_speed, _COARSE, halts=halts)
+    grid, stops, skipped = laid(cuts=np.concatenate([[], *cuts]))
+    if dry:
+        windows = rests(grid)
+        limits += [at_rest(one, path, windows) for one in dry]
+        grid, _, _ = laid(cuts=np.concatenate([*cuts, windows.ravel()]))
     limits = [_without_zeros(limit, grid) for limit in limits]
-    _check_speed(grid, limits, path.s_start, "start_speed", start_speed)
-    _check_speed(grid, limits, path.s_end, "end_speed", end_speed)
+    places = [("start_speed", path.s_start, start_speed), ("end_speed", path.s_end, end_speed)]
+    for name, s, given in places:
+        if given > 0:
+            _check_place(grid, limits, s, f"{name} = {given:g}", given)
+    for s in halts:
+        _check_place(grid, limits, float(s), "a dwell", 0.0)
     try:
-        profile, least = fastest(limits, grid, tolerance)
+        limits, profile, least = settle(limits, partial(fastest, grid=grid, tolerance=tolerance))
+        least *= 1 - max(limit.loss for limit in limits)
         profile = _within_limits(limits, profile)
     except StuckError as stuck:
         raise explain(stuck) from None
@@ -204,20 +217,23 @@ def _without_zeros(limit: Limit, grid: Grid) -> Limit:
     )
 
 
-def _check_speed(grid: Grid, limits: Sequence[Limit], s: float, name: str, speed: float) -> None:
-    """Refuse a speed at an end of the path that exceeds a velocity limit there."""
+def _check_place(grid: Grid, limits: Sequence[Limit], s: float, cause: str, speed: float) -> None:
+    """Refuse a given speed that exceeds a velocity limit, or a rest that exceeds a torque limit."""
     grid, middle = grid.at(np.array([s])), np.zeros(1)
     x = ((speed * grid.stretch) ** 2)[None]
     for limit in limits:
-        if limit.squared:
+        if limit.squared or (speed == 0 and isinstance(limit, TorqueLimit)):
             use = limit.use(grid, middle, np.zeros_like(x), x)[0, 0]
             row = int(use.argmax())
             if use[row] > 1 + MARGIN:
-                side = "upper" if limit.motion(grid, middle, 1)[0, 0, row] > 0 else "lower"
+                value = limit.values(grid, middle, np.zeros_like(x), x)[0, 0, row]
+                if limit.squared:
+                    value = limit.motion(grid, middle, 1)[0, 0, row]
+                name = limit.name(row, "upper" if value > 0 else "lower")
                 raise InfeasiblePathError(
-                    f"{name} = {speed:g} must keep the limits: it uses {use[row]:.4g} times the "
-                    f"{limit.name(row, side)} at s = {s:g}",
-                    constraint=limit.name(row, side),
+                    f"{cause} must keep the limits: it uses {use[row]:.4g} times the {name} at "
+                    f"s = {s:g}",
+                    constraint=name,
                     s=s,
                 )
 

@@ -15,7 +15,8 @@ from statebook.timescale.ends import Pauses
 from statebook.timescale.grid import Grid
 from statebook.timescale.limits import Limit, polygon
 from statebook.timescale.path import Path, horner
-from statebook.timescale.profile import Audit, Profile, audit, static_torques_hold
+from statebook.timescale.profile import Audit, Profile, audit
+from statebook.timescale.rows import MARGIN
 
 if TYPE_CHECKING:
     from statebook.trajectory import Trajectory
@@ -255,8 +256,9 @@ class TimedPath:
     def slower(self, factor: float) -> TimedPath:
         """Return the same motion, uniformly slowed down.
 
-        Velocities are divided by factor, accelerations by its square. Torques then lie between
-        their old values and those of the robot at rest, so these must be within the limits.
+        Velocities are divided by factor, accelerations by its square; pauses are factor times
+        as long. Without viscous friction torques then lie between their old values and those of
+        the robot at rest. The result is audited.
 
         Parameters
         ----------
@@ -266,18 +268,18 @@ class TimedPath:
         Raises
         ------
         ValueError
-            factor is below 1, or the robot at rest would exceed a torque limit.
+            factor is below 1, or a torque limit would be exceeded: by the load of the robot at
+            rest, or by friction.
         """
         if _validate.positive("factor", factor) < 1:
             raise ValueError(f"factor must be at least 1, got {factor:g}")
-        if factor > 1 and not static_torques_hold(self._profile, self._limits):
+        slowed = self._slowed(factor)
+        if slowed is None:
             raise ValueError(
                 "the motion cannot be slowed down: somewhere on the path the load of the robot at "
-                "rest exceeds a torque limit"
+                "rest, or driven slowly, exceeds a torque limit"
             )
-        return replace(
-            self, _profile=self._profile.slower(factor), _pauses=self._pauses.slower(factor)
-        )
+        return slowed
 
     def to_trajectory(self, dt: float) -> Trajectory:
         """Return samples at multiples of dt, the last one at the end of the path.
@@ -303,12 +305,19 @@ class TimedPath:
         timed = self
         ends = np.abs(self.velocity(np.array([0.0, self.duration]))).max()
         at_rest = ends <= 1e-9 * np.abs(self.velocity(self.times)).max()
-        if at_rest and static_torques_hold(self._profile, self._limits):
-            timed = self.slower(max(steps * dt / self.duration, 1.0))
+        if at_rest:
+            timed = self._slowed(max(steps * dt / self.duration, 1.0)) or self
         times = np.minimum(dt * np.arange(steps + 1), timed.duration)
         times[-1] = timed.duration
         states = np.concatenate([timed.position(times), timed.velocity(times)])
         return Trajectory(times, states, timed.acceleration(times))
+
+    def _slowed(self, factor: float) -> TimedPath | None:
+        """Return the motion slowed down, or None where that breaks a limit."""
+        profile, pauses = self._profile.slower(factor), self._pauses.slower(factor)
+        slowed = replace(self, _profile=profile, _pauses=pauses)
+        worst = slowed.audit().worst.use
+        return slowed if worst <= max(1 + MARGIN, self.audit().worst.use) else None
 
     def _times(self, t: Any) -> np.ndarray:
         """Check times, and put those that rounding has moved beyond the ends back there."""

@@ -12,7 +12,6 @@ from statebook.probes import takes_batches
 from statebook.timescale.bounds import MISFIT, read_bounds
 from statebook.timescale.curves import Fit, fit
 from statebook.timescale.limits import (
-    POLYGON_LOSS,
     AccelerationLimit,
     AccelerationNormLimit,
     Limit,
@@ -77,9 +76,7 @@ def tool_limits(path: Path, speed: Any, acceleration: Any, kinematics: Any) -> l
                 curve=found.curve,
                 slip=np.linalg.norm(slip, axis=1, keepdims=True) if rows == 1 else slip,
                 margin=4 * off,
-                loss=4 * off
-                + (MISFIT if callable(value) else 0)
-                + (POLYGON_LOSS if kind.norm else 0),
+                loss=MISFIT if callable(value) else 0.0,
             )
         )
     return limits
