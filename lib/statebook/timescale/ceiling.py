@@ -31,6 +31,7 @@ _AREAS = (_NODES[:, None] ** (_ORDERS + 1) / (_ORDERS + 1)) @ _TO_POWERS  # from
 _FLAT = 1e-9  # part of a row's largest a in the interval that counts as 0
 _STEEP = 3.0  # log E may change by so much in an interval, or the inequality is left out
 _ROUNDING = 1e-9
+_SAME = 1e-8  # part by which a given s'^2 may be above the bound
 _BLOCK = 2000  # intervals at a time
 _NEWTON = 30
 _ANY = 1e150  # stands for no bound
@@ -39,10 +40,14 @@ _BEND = 1.2  # between nodes bounds are taken for quadratics, bent by this much 
 
 @dataclass(frozen=True, eq=False)
 class Ceiling:
-    """Bounds on every motion: s'^2 at both ends of the intervals, (2, N), and the times (N,)."""
+    """Bounds on every motion: s'^2 at both ends of the intervals, (2, N), and the times (N,).
+
+    Where there can be no motion, it is not possible.
+    """
 
     x: np.ndarray
     times: np.ndarray
+    possible: bool
 
     @property
     def duration(self) -> float:
@@ -63,12 +68,12 @@ def ceiling(limits: Sequence[Limit], grid: Grid) -> Ceiling:
         slice(first, min(first + _BLOCK, len(grid.h))) for first in range(0, len(grid.h), _BLOCK)
     ]
     parts = [_changes_and_caps(limits, grid.part(block)) for block in blocks]
-    x = _highest_motion(parts, grid.sections, len(grid.h))
+    x, possible = _highest_motion(parts, grid.sections)
     times = [
         _least_times(*part, x[:, block], grid.h[block])
         for part, block in zip(parts, blocks, strict=True)
     ]
-    return Ceiling(x, np.concatenate(times))
+    return Ceiling(x, np.concatenate(times), possible)
 
 
 class Changes(NamedTuple):
@@ -82,6 +87,7 @@ class Changes(NamedTuple):
     low: np.ndarray
     high: np.ndarray
     turn: np.ndarray  # (N, R), bool
+    push: np.ndarray  # (N, R), the fastest change of the root of m x in time
 
 
 def _changes_and_caps(limits: Sequence[Limit], grid: Grid) -> tuple[Changes, np.ndarray]:
@@ -151,7 +157,9 @@ def _changes(
         low[:, turn], high[:, turn] = _beside_turn(
             a[:, turn], lower[:, turn], upper[:, turn], np.broadcast_to(h, turn.shape)[turn]
         )
-    return Changes(a * a * growth, low, high, turn)
+    bound = np.maximum(np.abs(lower), np.abs(upper)) * np.sqrt(growth)
+    push = np.where(usable | turn, bound.max(axis=0), np.inf)
+    return Changes(a * a * growth, low, high, turn, push)
 
 
 def _beside_turn(
@@ -205,15 +213,16 @@ def _highest(a: np.ndarray, b: np.ndarray, lower: np.ndarray, upper: np.ndarray)
 
 
 def _highest_motion(
-    parts: Sequence[tuple[Changes, np.ndarray]], sections: Sequence[Section], count: int
-) -> np.ndarray:
-    """Return the largest x at both ends of all intervals, (2, N): backward, then forward."""
+    parts: Sequence[tuple[Changes, np.ndarray]], sections: Sequence[Section]
+) -> tuple[np.ndarray, bool]:
+    """Return the largest x at both ends of all intervals, (2, N), and whether there is any."""
+    possible = True
     ends = [(c.m[0], c.m[-1], c.low[-1], c.high[-1], c.turn) for c, _ in parts]
     m0, m1, low, high, turn = (np.concatenate(values) for values in zip(*ends, strict=True))
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         gain, loss = (np.where((d > 0) & ~turn, n / d, 0.0) for n, d in ((m0, m1), (m1, m0)))
         more, less = (np.where(d > 0, n / d, np.inf) for n, d in ((high, m1), (-low, m0)))
-    x = np.concatenate([cap[[0, -1]] for _, cap in parts], axis=1)
+    x = np.minimum(np.concatenate([cap[[0, -1]] for _, cap in parts], axis=1), _ANY)
     for first, last, start, end in sections:
         top = np.append(x[0, first:last], x[1, last - 1])
         top[1:-1] = np.minimum(top[1:-1], x[1, first : last - 1])
@@ -228,54 +237,83 @@ def _highest_motion(
             k = i - first
             best[k + 1] = min(best[k + 1], (gain[i] * best[k] + more[i]).min())
         x[:, first:last] = np.maximum([best[:-1], best[1:]], 0.0)
-    return x
+        possible &= min(best[1:-1], default=1.0) > 0
+        possible &= best[0] >= (start or 0.0) * (1 - _SAME) and best[-1] >= (end or 0.0) * (
+            1 - _SAME
+        )
+    return x, possible
 
 
 def _least_times(changes: Changes, cap: np.ndarray, x: np.ndarray, h: np.ndarray) -> np.ndarray:
-    """Return a time below that of any motion over each interval, given bounds x at its ends."""
-    m, low, high, turn = changes
+    """Return a time below that of any motion over each interval, given bounds x at its ends.
+
+    Between two nodes it is the larger of two times: that of the row alone that takes longest, and
+    that under the lower of two bounds on x, the one active on the left and the one on the right.
+    """
+    m, low, high, turn, push = changes
     first, last = (np.where(turn, 0.0, m[i] * x[i][:, None]) for i in (0, -1))
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        ahead = np.where(m > 0, (first + high) / m, np.inf).min(axis=2)
-        back = np.where(m > 0, (last - (low[-1] - low)) / m, np.inf)
-    back[-1, turn] = np.inf
-    bounds = np.stack([ahead, back.min(axis=2), cap])
-    for k in range(1, _COUNT):  # where a row begins or ends within, its bound is level there
-        for row, i in ((0, -1 - k), (1, k)):
-            beside = bounds[row, i + 1 - 2 * row]
-            bounds[row, i] = np.where(np.isfinite(bounds[row, i]), bounds[row, i], beside)
-    which = bounds.argmin(axis=0)
-    largest = np.where(np.isfinite(bounds), bounds, 0.0).max(axis=(0, 1))
-    bounds = np.where(np.isfinite(bounds), np.maximum(bounds, 0.0), 1e6 * largest)
-    step = np.diff(_NODES)[:, None]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        slope = np.diff(bounds, axis=1) / step
-        bend = np.diff(slope, axis=1) / ((step[1:] + step[:-1]) / 2)
-    bend = np.concatenate(
-        [bend[:, :1], np.minimum(bend[:, 1:], bend[:, :-1]), bend[:, -1:]], axis=1
-    )
-    bend = _BEND / 2 * np.minimum(bend, 0.0) * step**2
-    total = np.zeros(len(h))
+        ahead, back = first + high, last - (low[-1] - low)
+        back[-1, turn] = np.inf
+        alone = _time_of_rows(ahead, push, 1), _time_of_rows(back, push, -1)
+        bounds = np.concatenate(
+            [
+                np.where(m > 0, ahead / m, np.inf),
+                np.where(m > 0, back / m, np.inf),
+                cap[:, :, None],
+            ],
+            axis=2,
+        )
+    beyond = turn & ~np.isfinite(ahead[:-1]) & ~np.isfinite(back[1:])
+    longest = np.where(beyond, alone[0] + alone[1], np.maximum(*alone)).max(axis=2)
+    times = np.zeros(len(h))
     for k in range(_COUNT - 1):
-        total += _least_step(bounds[:, k : k + 2], bend[:, k], which[k : k + 2], step[k, 0] * h)
-    return total
+        under = _time_under(bounds, k) * h
+        times += np.maximum(under, longest[k])
+    return times
 
 
-def _least_step(
-    bounds: np.ndarray, bend: np.ndarray, which: np.ndarray, h: np.ndarray
-) -> np.ndarray:
-    """Return the time under the bound active on the left, and under that on the right.
+def _time_of_rows(square: np.ndarray, push: np.ndarray, sign: int) -> np.ndarray:
+    """Return the times between nodes in which rows gain, or lose, speed as fast as they can.
 
-    bounds (3, 2, N) are values at both ends, bend (3, N) twice the divided differences.
+    square (K, N, R) is m x; its root changes by at most push in a unit of time.
     """
-    every = np.arange(len(h))
-    (l0, l1), (r0, r1) = (bounds[which[i], :, every].T for i in range(2))
+    root = np.sqrt(np.maximum(np.where(np.isfinite(square), square, 0.0), 0.0))
+    return np.maximum(sign * np.diff(root, axis=0), 0.0) / push
+
+
+def _time_under(bounds: np.ndarray, k: int) -> np.ndarray:
+    """Return the time from node k to the next under bounds on x (K, N, B), for h = 1.
+
+    Of all bounds, those that are lowest at one of the two nodes count. Each is a quadratic at
+    most, bent as much as its values at neighbouring nodes tell.
+    """
+    known = np.isfinite(bounds)
+    near = slice(max(k - 1, 0), k + 3)
+    usable = known[k] & known[k + 1] & (known[near].sum(axis=0) > 2)
+    every = np.arange(bounds.shape[1])
+    which = [np.where(usable, bounds[i], np.inf).argmin(axis=1) for i in (k, k + 1)]
+    some = usable.any(axis=1)
+    curves = [np.where(some, np.maximum(bounds[:, every, i], 0.0), 1.0) for i in which]
+    step = _NODES[k + 1] - _NODES[k]
+    left, right = (_bend(curve[near], _NODES[near]) * step**2 for curve in curves)
+    (l0, l1), (r0, r1) = (curve[k : k + 2] for curve in curves)
     ahead, behind = l1 - r1, r0 - l0
     with np.errstate(divide="ignore", invalid="ignore"):
         z = np.where(ahead + behind > 0, behind / (ahead + behind), 1.0)
     z = np.where(which[0] == which[1], 1.0, np.clip(z, 0.0, 1.0))
-    left, right = bend[which[0], every], bend[which[1], every]
     peak = np.where(z < 1, l0 + z * (l1 - l0) - left * z * (1 - z), r1)
     peak = np.maximum(peak, 1e-300)
-    time = travel_time(z * h, l0, peak, left * z**2)
-    return time + travel_time((1 - z) * h, peak, r1, right * (1 - z) ** 2)
+    time = travel_time(z * step, l0, peak, left * z**2)
+    time += travel_time((1 - z) * step, peak, r1, right * (1 - z) ** 2)
+    return np.where(some, time, 0.0)
+
+
+def _bend(curve: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """Return the second divided difference of curves (K, N), or a lower one, at most 0."""
+    lowest = np.zeros(curve.shape[1])
+    for i in range(len(nodes) - 2):
+        first, second = ((curve[j + 1] - curve[j]) / (nodes[j + 1] - nodes[j]) for j in (i, i + 1))
+        bend = (second - first) / (nodes[i + 2] - nodes[i])
+        lowest = np.minimum(lowest, np.where(np.isfinite(bend), bend, 0.0))
+    return _BEND * lowest

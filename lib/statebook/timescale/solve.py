@@ -10,6 +10,7 @@ from statebook.timescale.ceiling import ceiling
 from statebook.timescale.grid import Grid
 from statebook.timescale.limits import Limit, TorqueLimit
 from statebook.timescale.profile import Profile
+from statebook.timescale.rows import FREE
 from statebook.timescale.stages import NARROWING, StuckError, fastest_profile
 
 _LOOK = np.array([0.02, 0.25, 0.5, 0.75, 0.98])  # where in an interval slack is looked for
@@ -120,6 +121,7 @@ _GAIN = 4.0  # a refinement divides the time lost by about so much
 _WORK = 4e6  # intervals times rows that are solved in all, at most
 _OVERHEAD = 40  # of an interval, in rows
 _LARGEST_NARROWING = 1e-5  # of controllable sets against rounding
+_RANGE = 1e3  # of s'^2 in an interval, beyond which its smaller end gives the scale
 _SEARCH = 6000  # intervals of the finest grid on which a first solution is looked for
 
 
@@ -147,10 +149,11 @@ def fastest(limits: Sequence[Limit], grid: Grid, tolerance: float) -> tuple[Prof
             if best is None or guide.duration < best.duration:
                 best = guide
         except StuckError:
-            if best is None and len(grid.h) > _SEARCH:
+            if best is None and (len(grid.h) > _SEARCH or not top.possible):
+                solve(limits, grid, curvature, top.x, every_row=True)  # raises what is to be named
                 raise
-            sets = np.stack([np.zeros_like(top.x.T), top.x.T])
-            guide = Profile(grid, *top.x, np.zeros(len(grid.h)), sets)
+            x = np.maximum(top.x, 1e-300)
+            guide = Profile(grid, *x, np.zeros(len(grid.h)), np.stack([0 * x.T, x.T]))
         work += len(grid.h) * (_OVERHEAD + rows)
         if best is not None and (least >= best.duration * (1 - tolerance) or work > _WORK):
             return best, least
@@ -163,10 +166,15 @@ def solve(
     curvature: np.ndarray,
     top: np.ndarray,
     slowest: bool = False,
+    every_row: bool = False,
 ) -> Profile:
     """Solve the stages, with a better scale or more room for rounding where it is needed."""
     narrowing = NARROWING
-    scale = top.max(axis=0)
+    smaller, scale = np.sort(top, axis=0)
+    scale = np.where(
+        scale > 0, np.where(smaller > 0, np.minimum(scale, _RANGE * smaller), scale), 1
+    )
+    top = np.full_like(top, 1e100) if every_row else np.minimum(top, FREE * scale)
     while True:
         try:
             profile = fastest_profile(limits, grid, curvature, scale, top, narrowing, slowest)
