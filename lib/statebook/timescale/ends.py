@@ -12,8 +12,10 @@ import scipy
 from statebook import _validate
 from statebook.errors import InfeasiblePathError
 from statebook.timescale.limits import Limit, TorqueLimit
+from statebook.timescale.jerk import JerkProfile
 from statebook.timescale.path import Path
-from statebook.timescale.profile import Profile
+from statebook.timescale.profile import Profile, audit
+from statebook.timescale.rows import MARGIN
 from statebook.timescale.solve import solve
 
 _TANGENT = 1e-6  # part of a velocity that may point off the path
@@ -124,6 +126,18 @@ def take(
         )
     if wanted <= shortest:
         return profile
+    if isinstance(profile, JerkProfile):  # jerk is not convex in them
+        slow = profile.slower(wanted / shortest)
+        given = profile.grid.sections[0].start or profile.grid.sections[-1].end
+        if given or audit(slow, limits).worst.use > 1 + MARGIN:
+            raise InfeasiblePathError(
+                "with a jerk limit a given duration is reached by slowing the motion down "
+                "uniformly, which changes speeds given for the ends and must not exceed torque "
+                f"limits: here only {shortest + pause:.9g} s is possible; got {duration:g}",
+                constraint="duration",
+                s=s_end,
+            )
+        return slow
     # A slower motion has less drag to brake with: it must do without.
     torques = [one for one in limits if isinstance(one, TorqueLimit) and one.lines]
     every = [*limits, *(replace(one, lines=None) for one in torques)]

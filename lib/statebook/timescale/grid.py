@@ -65,7 +65,7 @@ class Grid:
         offset = (s - origin[piece]) * self.pieces.stretch[piece]
         return replace(self, piece=piece, offset=offset, h=np.zeros(len(s)), sections=())
 
-    def part(self, intervals: slice) -> Grid:
+    def part(self, intervals: slice | np.ndarray) -> Grid:
         """Return some of the intervals, without their sections."""
         return replace(
             self,

@@ -10,6 +10,7 @@ import numpy as np
 import scipy
 
 from statebook import _validate
+from statebook.timescale.blend import blended_polyline
 from statebook.timescale.wrapping import unwrapped
 
 _KINDS = ("cubic", "linear")
@@ -77,6 +78,7 @@ class Path:
         bc_type: Any = "not-a-knot",
         s: Any = None,
         wrap: Any = None,
+        blend: float | None = None,
     ) -> Path:
         """Return the path through waypoints.
 
@@ -98,6 +100,11 @@ class Path:
             True for a joint on a circle, or the length of its turn if that is not 2 pi: each
             waypoint is then moved by whole turns to be the short way from the one before.
             Left out: no joint is, with a warning where the angles look as if one were.
+        blend : float > 0, optional
+            Round the corners of the straight pieces, with continuous curvature, so that no stop
+            is needed: the largest Euclidean distance of the path from the polyline, and of the
+            polyline from the path. s is then the part of the polyline's length. A corner that
+            turns straight back stays a stop.
 
         Returns
         -------
@@ -112,6 +119,10 @@ class Path:
         --------
         >>> Path.through([[0.0, 3.0]], s=[0.0, 2.0])(1.0)
         array([1.5])
+        >>> corner = [[0.0, 1.0, 1.0], [0.0, 0.0, 1.0]]
+        >>> rounded = Path.through(corner, kind="linear", blend=0.05)
+        >>> float(np.linalg.norm(rounded(0.5) - [1.0, 0.0]).round(12))
+        0.05
         """
         points = _validate.real_array("waypoints", waypoints)
         if points.ndim != 2 or points.shape[0] == 0 or points.shape[1] < 2:
@@ -123,6 +134,14 @@ class Path:
         _validate.choice("kind", kind, _KINDS)
         dof, count = points.shape
         _require_columns("s", np.shape(s), (count,), points)
+        if blend is not None:
+            blend = _validate.positive("blend", blend)
+            if kind != "linear" or s is not None:
+                raise ValueError(
+                    "blend rounds the corners of straight pieces, along which s is their length: "
+                    f'give it with kind="linear" and without s, got kind={kind!r}, s={s}'
+                )
+            return cls(blended_polyline(points, blend), _end=points[:, -1].copy())
         knots = np.linspace(0, 1, count) if s is None else _validate.real_array("s", s, (count,))
         if np.any(np.diff(knots) <= 0):
             raise ValueError(f"s must increase from waypoint to waypoint, got {knots}")

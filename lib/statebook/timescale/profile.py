@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import cmath
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any
@@ -13,6 +13,8 @@ import numpy as np
 from statebook.timescale import bernstein
 from statebook.timescale.grid import Grid
 from statebook.timescale.limits import DENSE, Limit, TorqueLimit, VelocityLimit
+
+Warp = Callable[[np.ndarray], np.ndarray]
 
 
 def travel_time(h: np.ndarray, x0: np.ndarray, x1: np.ndarray, bulge: np.ndarray) -> np.ndarray:
@@ -77,10 +79,14 @@ class Profile:
         return self.curvature * (self.x0 + self.x1) / 2
 
     @cached_property
+    def steps(self) -> np.ndarray:
+        """Time each interval takes, shape (N,)."""
+        return travel_time(self.grid.h, self.x0, self.x1, self.bulge)
+
+    @cached_property
     def times(self) -> np.ndarray:
         """Time at the ends of the intervals, shape (N + 1,)."""
-        steps = travel_time(self.grid.h, self.x0, self.x1, self.bulge)
-        return np.concatenate([[0.0], np.cumsum(steps)])
+        return np.concatenate([[0.0], np.cumsum(self.steps)])
 
     @property
     def duration(self) -> float:
@@ -105,6 +111,11 @@ class Profile:
         step = travel_time(z * self.grid.h[interval], x0, x, bulge * z * z)
         return np.asarray(self.times[interval] + step)
 
+    def where(self, interval: int, z: float) -> tuple[float, float]:
+        """Return the time and the path parameter at a fraction of an interval."""
+        time = self.time_at(np.array([interval]), np.array([z]))[0]
+        return float(time), float(self.grid.s_at(np.array([z]))[0, interval])
+
     def locate(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return the interval, s minus its left end, s' and s'' at times t (M,)."""
         i = np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, len(self.x0) - 1)
@@ -127,6 +138,22 @@ class Profile:
     def _rate(self) -> np.ndarray:
         """Slope ds''/ds in the intervals."""
         return self.bulge / self.grid.h**2
+
+    def third(self, i: np.ndarray, ds: np.ndarray, speed: np.ndarray) -> np.ndarray:
+        """Return s''' in intervals i (M,), with what `locate` returns."""
+        return np.asarray(self._rate[i] * speed)
+
+    def parts(self) -> list[tuple[Profile, np.ndarray, Warp, int]]:
+        """Return the profile in parts in which limits are polynomials.
+
+        Of each part: the profile, the intervals it consists of, the function of [0, 1] that gives
+        the fraction z of an interval, and by how much it multiplies the degree.
+        """
+        return [(self, np.arange(len(self.x0)), lambda y: y, 1)]
+
+    def further_uses(self) -> list[Use]:
+        """Return the largest uses of limits that are not bounds on s'' and s'^2."""
+        return []
 
     def slower(self, factor: float) -> Profile:
         """Return the profile of the same motion that takes factor times as long."""
@@ -163,6 +190,12 @@ class Use:
     time: float
     s: float
     exact: bool
+
+    @property
+    def factor(self) -> float:
+        """How much longer a uniformly slower motion takes that just keeps the limit."""
+        powers = {"acceleration": 1 / 2, "torque": 1 / 2, "jerk": 1 / 3}
+        return float(self.use ** powers.get(self.limit.split()[-1], 1.0))
 
 
 @dataclass(frozen=True)
@@ -207,37 +240,40 @@ def audit(profile: Profile, limits: Sequence[Limit]) -> Audit:
     uses: list[Use] = []
     for limit in limits:
         exact = not isinstance(limit, TorqueLimit)
-        degree = limit.degree(profile.grid) * (2 if limit.norm else 1)
-        z = bernstein.nodes(degree) if exact else np.linspace(0, 1, DENSE)
-        sampled = limit.use(profile.grid, z, profile.u(z), profile.x(z))
-        highest, places = _maxima(profile, limit, z) if exact else (sampled.max(axis=(0, 1)), [])
-        highest = highest + limit.uncertainty(profile.grid, z, profile.u(z), profile.x(z))
-        for row, use in enumerate(highest):
+        found = []
+        for part, index, warp, order in profile.parts():
+            degree = limit.degree(part.grid) * (2 if limit.norm else 1) * order
+            y = bernstein.nodes(degree) if exact else np.linspace(0, 1, DENSE)
+            z = warp(y)
+            u, x = part.u(z), part.x(z)
+            sampled = limit.use(part.grid, z, u, x)
+            highest, places = _maxima(part, limit, y, warp) if exact else (sampled.max((0, 1)), [])
+            highest = highest + limit.uncertainty(part.grid, z, u, x)
+            found.append((sampled, highest, places, index, z))
+        for row in range(len(found[0][1])):
+            use = max(highest[row] for _, highest, _, _, _ in found)
             # Limits are reached again and again: name the first time, whatever the rounding.
-            reached = sampled[:, :, row] >= use - _SAME * abs(use)
-            if reached.any():
-                i = int(reached.any(axis=0).argmax())
-                fraction = float(z[reached[:, i].argmax()])
-            else:
-                i, fraction = places[row]
-            uses.append(
-                Use(
-                    limit=limit.kind,
-                    row=row,
-                    use=float(use),
-                    time=float(profile.time_at(np.array([i]), np.array([fraction]))[0]),
-                    s=float(profile.grid.s_at(np.array([fraction]))[0, i]),
-                    exact=exact,
-                )
-            )
-    return Audit(tuple(uses))
+            first = []
+            for sampled, highest, places, index, z in found:
+                reached = sampled[:, :, row] >= use - _SAME * abs(use)
+                if reached.any():
+                    i = int(reached.any(axis=0).argmax())
+                    place = int(index[i]), float(z[reached[:, i].argmax()])
+                elif highest[row] == use:
+                    place = int(index[places[row][0]]), places[row][1]
+                else:
+                    continue
+                first.append((*profile.where(*place), use))
+            time, s, _ = min(first)
+            uses.append(Use(limit.kind, row, float(use), time, s, exact))
+    return Audit(tuple(uses + profile.further_uses()))
 
 
 def _maxima(
-    profile: Profile, limit: Limit, z: np.ndarray
+    profile: Profile, limit: Limit, y: np.ndarray, warp: Warp
 ) -> tuple[np.ndarray, list[tuple[int, float]]]:
     """Return the largest use of each row, and the interval and the fraction of it where it is."""
-    transform = partial(bernstein.along, bernstein.from_values(len(z) - 1))
+    transform, z = partial(bernstein.along, bernstein.from_values(len(y) - 1)), warp(y)
     values = limit.values(profile.grid, z, profile.u(z), profile.x(z))
     lower, upper = limit.bounds(profile.grid, z)
     if limit.norm:
@@ -260,5 +296,6 @@ def _maxima(
     use, interval, fraction = (np.stack(values) for values in zip(*found, strict=True))
     side, rows = use.argmax(axis=0), np.arange(use.shape[1])
     highest = np.maximum(use[side, rows], 0.0)
-    places = list(zip(interval[side, rows].tolist(), fraction[side, rows].tolist(), strict=True))
+    fractions = warp(fraction[side, rows]).tolist()
+    places = list(zip(interval[side, rows].tolist(), fractions, strict=True))
     return (np.sqrt(highest) if limit.squared or limit.norm else highest), places

@@ -13,11 +13,13 @@ import scipy
 
 from statebook import _validate
 from statebook.errors import InfeasiblePathError
-from statebook.timescale.bounds import require_joints
+from statebook.timescale.bounds import read_bounds, require_joints
 from statebook.timescale.ceiling import ceiling
 from statebook.timescale.ends import Pauses, read_dwell, speed_at_end, take
 from statebook.timescale.friction import at_rest, rests, reversals, settle
 from statebook.timescale.grid import Grid, lay_grid
+from statebook.timescale.jerk import stop_at_bends
+from statebook.timescale.jerk_program import limit_jerk
 from statebook.timescale.limits import DENSE, Limit, TorqueLimit, kinematic_limits
 from statebook.timescale.path import Path
 from statebook.timescale.profile import Profile, audit
@@ -41,6 +43,7 @@ def time_scale(
     *,
     speed: Any = None,
     acceleration_norm: Any = None,
+    jerk: Any = None,
     torque: Any = None,
     inverse_dynamics: Any = None,
     tool_speed: Any = None,
@@ -72,6 +75,11 @@ def time_scale(
         no bound. A function is looked at in 64 pieces of the path; it may jump.
     speed, acceleration_norm : float > 0, array, shape (N,), or callable, optional
         Bound on the Euclidean norm of the velocity, and of the acceleration.
+    jerk : float > 0 or array, shape (dof,) or (dof, 2), optional
+        Bounds on q''' of each joint, one number for plus and minus or pairs (lower, upper) around
+        0. Accelerations are then continuous, and 0 at rest; where p'' jumps the motion stops too.
+        Where a speed is given for an end the acceleration there is free. The motion is one that
+        no small change makes faster, and its gap an estimate.
     torque : float > 0, array or callable, optional
         Bounds on the rows of the inverse dynamics, given like those of joints; they need not
         enclose 0.
@@ -162,10 +170,16 @@ def time_scale(
             _check_place(grid, limits, s, f"{name} = {given:g}", given)
     for s in halts:
         _check_place(grid, limits, float(s), "a dwell", 0.0)
+    if jerk is not None:
+        bounds = read_bounds("jerk", jerk, path.dof, path)
+        grid, bends = stop_at_bends(grid)
+        stops = tuple(sorted((*stops, *bends)))
     try:
         limits, profile, least = settle(limits, partial(fastest, grid=grid, tolerance=tolerance))
         least *= 1 - max(limit.loss for limit in limits)
         profile = _within_limits(limits, profile)
+        if jerk is not None:
+            profile, least = limit_jerk(limits, bounds, profile, tolerance)
     except StuckError as stuck:
         raise explain(stuck) from None
     gap = max(1 - least / profile.duration, 0.0)
@@ -242,10 +256,7 @@ def _within_limits(limits: Sequence[Limit], profile: Profile) -> Profile:
     """Audit the profile; slow it down by the rounding that is left, split it for torques."""
     torques = [limit for limit in limits if isinstance(limit, TorqueLimit)]
     if not torques:
-        factor = max(
-            np.sqrt(use.use) if use.limit.endswith("acceleration") else use.use
-            for use in audit(profile, limits)
-        )
+        factor = max(use.factor for use in audit(profile, limits))
         return profile.slower(factor * (1 + _ROUNDING)) if factor > 1 else profile
     for _ in range(PASSES):
         if audit(profile, limits).worst.use <= 1 + MARGIN:

@@ -174,6 +174,13 @@ class TimedPath:
         """
         return self._derivative(self._times(t), 2)
 
+    def jerk(self, t: Any) -> np.ndarray:
+        """Return the joint jerks p' s''' + 3 p'' s' s'' + p''' s'^3; see `position`.
+
+        Where it jumps: the one after the instant, at the end the last one.
+        """
+        return self._derivative(self._times(t), 3)
+
     def progress(self, t: Any) -> tuple[Any, Any, Any]:
         """Return s, s' and s'' at times t.
 
@@ -331,7 +338,7 @@ class TimedPath:
         return np.minimum(np.maximum(t, 0.0), self.duration)
 
     def _derivative(self, t: np.ndarray, order: int) -> np.ndarray:
-        """Return the position, velocity or acceleration at times t, (dof,) or (dof, N)."""
+        """Return the position or a derivative of it at times t, (dof,) or (dof, N)."""
         moving, paused = self._pauses.moving(t)
         if order and not t.ndim and paused:
             return np.zeros(self.path.dof)
@@ -347,6 +354,11 @@ class TimedPath:
         elif order == 2:
             value *= np.asarray(rate / stretch)[..., None]
             value += np.asarray((speed / stretch) ** 2)[..., None] * horner(c, source, offset, 2)
+        elif order == 3:
+            third = profile.third(i, ds, speed)
+            for k, rates in ((1, third), (2, 3 * speed * rate), (3, speed**3)):
+                term = horner(c, source, offset, k) * np.asarray(rates / stretch**k)[..., None]
+                value = term if k == 1 else value + term
         if order and t.ndim:
             value[paused] = 0.0
         return value.T
