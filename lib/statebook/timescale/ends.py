@@ -11,8 +11,8 @@ import scipy
 
 from statebook import _validate
 from statebook.errors import InfeasiblePathError
-from statebook.timescale.limits import Limit, TorqueLimit
 from statebook.timescale.jerk import JerkProfile
+from statebook.timescale.limits import Limit, TorqueLimit
 from statebook.timescale.path import Path
 from statebook.timescale.profile import Profile, audit
 from statebook.timescale.rows import MARGIN

@@ -187,8 +187,8 @@ def _refined(
 ) -> tuple[JerkProfile, float]:
     """Solve programs until the time settles, and refine the grid until that does not help.
 
-    Returns the best profile that is within the limits, and the part of its time by which the last
-    refinement but one was slower.
+    Returns the best profile that is within the limits, and its gap: finer grids are of first
+    order, so that what the last one gained is what all others would, and half of it for safety.
     """
     best: JerkProfile | None = None
     gap, count = np.inf, max(_FIRST, 3 * len(stretch.path.h))
@@ -206,7 +206,8 @@ def _refined(
         if motion.excess <= _EXCESS:
             profile = _certified(task, stretch, motion, tolerance)
             if profile is not None and best is not None:
-                gap = min(gap, abs(best.duration / profile.duration - 1))
+                change = abs(best.duration / profile.duration - 1)
+                gap = min(gap, 1.5 * change + 2 * _SETTLED * tolerance)
             if profile is not None and (best is None or profile.duration < best.duration):
                 best = profile
         if gap <= tolerance or count >= _LAST:
