@@ -127,9 +127,9 @@ def take(
     if wanted <= shortest:
         return profile
     if isinstance(profile, JerkProfile):  # jerk is not convex in them
-        slow = profile.slower(wanted / shortest)
+        slower = profile.slower(wanted / shortest)
         given = profile.grid.sections[0].start or profile.grid.sections[-1].end
-        if given or audit(slow, limits).worst.use > 1 + MARGIN:
+        if given or audit(slower, limits).worst.use > 1 + MARGIN:
             raise InfeasiblePathError(
                 "with a jerk limit a given duration is reached by slowing the motion down "
                 "uniformly, which changes speeds given for the ends and must not exceed torque "
@@ -137,7 +137,7 @@ def take(
                 constraint="duration",
                 s=s_end,
             )
-        return slow
+        return slower
     # A slower motion has less drag to brake with: it must do without.
     torques = [one for one in limits if isinstance(one, TorqueLimit) and one.lines]
     every = [*limits, *(replace(one, lines=None) for one in torques)]

@@ -23,8 +23,10 @@ from typing import Any
 import numpy as np
 
 from statebook.timescale import bernstein
+from statebook.timescale.bounds import read_bounds
 from statebook.timescale.grid import Grid, Section
-from statebook.timescale.profile import Profile, Use, travel_time
+from statebook.timescale.path import Path
+from statebook.timescale.profile import Profile, Use, Warp, travel_time
 
 _BEND = 1e-9  # a jump of p'' by this part of its size is one
 
@@ -81,7 +83,7 @@ class JerkProfile(Profile):
         at_rest = self.times[interval] + part * self.steps[interval]
         return np.where(rest == 0, super().time_at(interval, z), at_rest)
 
-    def locate(self, t: np.ndarray) -> tuple[np.ndarray, ...]:
+    def locate(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         i, ds, speed, u = super().locate(t)
         at_rest = np.flatnonzero(self.rest[i])
         if len(at_rest):
@@ -101,7 +103,7 @@ class JerkProfile(Profile):
         i, ds, speed, u = self.locate(np.array([t]))
         return int(i[0]), float(ds[0]), float(speed[0]), float(u[0])
 
-    def third(self, i: np.ndarray, ds: np.ndarray, speed: np.ndarray) -> np.ndarray:
+    def third(self, i: Any, ds: Any, speed: Any) -> np.ndarray:
         shape = np.shape(i)
         i, ds, speed = (np.atleast_1d(values) for values in (i, ds, speed))
         third = super().third(i, ds, speed)
@@ -113,8 +115,8 @@ class JerkProfile(Profile):
         third[at_rest] = power * (power - 1) / 2 * peak**1.5 / h**2 * y ** (1.0 - order)
         return third.reshape(shape)
 
-    def parts(self) -> list[tuple[Profile, np.ndarray, Any, int]]:
-        parts = []
+    def parts(self) -> list[tuple[Profile, np.ndarray, Warp, int]]:
+        parts: list[tuple[Profile, np.ndarray, Warp, int]] = []
         for chosen, warp, order in (
             (self.rest == 0, lambda y: y, 1),
             (self.rest > 0, lambda y: y**3, 3),
@@ -208,6 +210,29 @@ def rest_shape(grid: Grid, order: np.ndarray, arrives: np.ndarray) -> np.ndarray
     middle = np.where(arrives, -1.5, 1.5) * power * y ** (2.0 - order) / h
     jerk = p1 * rate[:, :, None] + p2 * middle[:, :, None] + p3 * (y ** (3.0 - order))[:, :, None]
     return np.asarray(bernstein.along(to_bernstein, jerk))
+
+
+def read_jerk(jerk: Any, path: Path, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+    """Read the limits of the joints' jerk, lower and upper, (dof,) each.
+
+    Raises
+    ------
+    TypeError, ValueError
+        They are none, vary along the path, or are 0 for a joint that moves.
+    """
+    lower, upper, along = read_bounds("jerk", jerk, path.dof, path)
+    if along is not None:
+        raise ValueError(
+            "jerk must be the same all along the path: a number, or one or two per joint"
+        )
+    moves = (grid.pieces.coefficients[:-1] != 0).any(axis=(0, 1))
+    for j in np.flatnonzero((lower == 0) | (upper == 0)):
+        if moves[j]:
+            raise ValueError(
+                f"jerk must have lower < 0 < upper where a joint moves, got ({lower[j]:g}, "
+                f"{upper[j]:g}) for joint {j}"
+            )
+    return np.where(moves, lower, -1.0), np.where(moves, upper, 1.0)
 
 
 def stop_at_bends(grid: Grid) -> tuple[Grid, tuple[float, ...]]:

@@ -15,14 +15,13 @@ import numpy as np
 import scipy
 
 from statebook.errors import InfeasiblePathError
-from statebook.timescale.bounds import Bounds
 from statebook.timescale.grid import Grid, Section
 from statebook.timescale.jerk import JerkProfile, rest_shape
 from statebook.timescale.limits import DENSE, Limit, TorqueLimit, polygon
 from statebook.timescale.profile import Profile, audit
 from statebook.timescale.rows import MARGIN
 
-_FIRST, _LAST = 50, 800  # intervals of the coarsest and of the finest grid of a section
+_FIRST, _LAST = 50, 1600  # intervals of the coarsest and of the finest grid of a section
 _STEPS = 10  # programs on one grid, at most
 _SETTLED = 0.05  # part of the tolerance by which the time still changes at the last one
 _LOOK = (0.0, 0.5, 1.0)  # where in an interval limits are asked for
@@ -84,15 +83,18 @@ class _Motion:
 
 
 def limit_jerk(
-    limits: Sequence[Limit], bounds: Bounds, free: Profile, tolerance: float
+    limits: Sequence[Limit],
+    bounds: tuple[np.ndarray, np.ndarray],
+    free: Profile,
+    tolerance: float,
 ) -> tuple[JerkProfile, float]:
     """Find the fastest motion that keeps limits on jerk too.
 
     Parameters
     ----------
     limits : sequence of Limit
-    bounds : Bounds
-        Of the joint jerk.
+    bounds : (array, array), shape (dof,)
+        On the joint jerk, lower and upper.
     free : Profile
         The fastest motion without them.
     tolerance : float > 0
@@ -112,7 +114,7 @@ def limit_jerk(
     # A slower motion has less drag to brake with: it must do without.
     drags = [one for one in limits if isinstance(one, TorqueLimit) and one.lines]
     every = [*limits, *(replace(one, lines=None) for one in drags)]
-    task = _Task(every, bounds.lower, bounds.upper)
+    task = _Task(every, *bounds)
     profiles, least = [], 0.0
     for section in free.grid.sections:
         stretch, motion = _started(task, free, section)
@@ -132,7 +134,7 @@ def _started(task: _Task, free: Profile, section: Section) -> tuple[_Stretch, _M
     graded = knots[-1] * (1 - np.cos(np.linspace(0, np.pi, 4000))) / 2
     fine = np.unique(np.concatenate([points, graded[1:-1]]))
     x = np.interp(fine, points, np.append(free.x0[inside], free.x1[section.last - 1]))
-    ends = []
+    ends: list[tuple[int, float | None, float, float]] = []
     for at_end, speed in ((False, section.start), (True, section.end)):
         order = _order(path, at_end) if speed is None else int(speed == 0)
         if order:
@@ -332,6 +334,7 @@ def _rows(
             yield _Rows(z, 0.0, np.zeros_like(b[0]), b[0] / bound, room, limit, "upper")
             continue
         lower, upper = limit.bounds(grid, at)
+        assert a is not None
         if limit.norm:
             a, b = polygon(a, b)
             lower = np.full_like(upper, -np.inf)
@@ -481,6 +484,7 @@ def _improved(
     groups = [rows for z in _LOOK for rows in _rows(task, grid, x, u, z, inside)]
     left_out = [np.isfinite(rows.bound) for rows in groups]
     part = -np.inf if everything else _IDLE
+    solution = None
     for _ in range(_STEPS):
         before = program.rows
         for rows, mask in zip(groups, left_out, strict=True):
@@ -500,6 +504,7 @@ def _improved(
             raise _infeasible(*culprit)
         x, u = solution[: len(r)] * program.x, solution[len(r) : -1] * program.u
         part = 1.0
+    assert solution is not None
     ends = np.zeros(leaves), np.zeros(arrives)
     x, u = (np.concatenate([ends[0], values, ends[1]]) for values in (x, u))
     return _Motion(motion.r, x, u, float(solution[-1]), culprit)
@@ -590,23 +595,25 @@ def _joined(profiles: list[JerkProfile], free: Profile) -> JerkProfile:
         last = first + len(profile.rest)
         sections.append(section._replace(first=first, last=last))
         inside = slice(section.first, section.last)
-        ends = [np.append(0.0, np.cumsum(h)) for h in (profile.grid.h, free.grid.h[inside])]
+        points, before = (
+            np.append(0.0, np.cumsum(h)) for h in (profile.grid.h, free.grid.h[inside])
+        )
         known = free.controllable[:, inside]
         sides = np.concatenate([known[:, :, 0], known[:, -1:, 1]], axis=1)
-        at = np.stack([np.interp(*ends, side) for side in sides])
+        at = np.stack([np.interp(points, before, side) for side in sides])
         sets.append(np.stack([at[:, :-1], at[:, 1:]], axis=2))
         first = last
     together = {
         name: np.concatenate([getattr(profile, name) for profile in profiles])
         for name in ("x0", "x1", "curvature", "rest")
     }
-    grid = {
-        name: np.concatenate([getattr(profile.grid, name) for profile in profiles])
+    piece, offset, h = (
+        np.concatenate([getattr(profile.grid, name) for profile in profiles])
         for name in ("piece", "offset", "h")
-    }
+    )
     return replace(
         profiles[0],
         **together,
-        grid=replace(free.grid, **grid, sections=tuple(sections)),
+        grid=Grid(free.grid.pieces, piece, offset, h, tuple(sections)),
         controllable=np.concatenate(sets, axis=1),
     )

@@ -6,7 +6,7 @@ import cmath
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from statebook.timescale import bernstein
 from statebook.timescale.grid import Grid
 from statebook.timescale.limits import DENSE, Limit, TorqueLimit, VelocityLimit
 
+Kind = TypeVar("Kind", bound="Profile")
 Warp = Callable[[np.ndarray], np.ndarray]
 
 
@@ -139,7 +140,7 @@ class Profile:
         """Slope ds''/ds in the intervals."""
         return self.bulge / self.grid.h**2
 
-    def third(self, i: np.ndarray, ds: np.ndarray, speed: np.ndarray) -> np.ndarray:
+    def third(self, i: Any, ds: Any, speed: Any) -> np.ndarray:
         """Return s''' in intervals i (M,), with what `locate` returns."""
         return np.asarray(self._rate[i] * speed)
 
@@ -155,7 +156,7 @@ class Profile:
         """Return the largest uses of limits that are not bounds on s'' and s'^2."""
         return []
 
-    def slower(self, factor: float) -> Profile:
+    def slower(self: Kind, factor: float) -> Kind:
         """Return the profile of the same motion that takes factor times as long."""
         return replace(self, x0=self.x0 / factor**2, x1=self.x1 / factor**2)
 

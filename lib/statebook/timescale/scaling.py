@@ -13,12 +13,12 @@ import scipy
 
 from statebook import _validate
 from statebook.errors import InfeasiblePathError
-from statebook.timescale.bounds import read_bounds, require_joints
+from statebook.timescale.bounds import require_joints
 from statebook.timescale.ceiling import ceiling
 from statebook.timescale.ends import Pauses, read_dwell, speed_at_end, take
 from statebook.timescale.friction import at_rest, rests, reversals, settle
 from statebook.timescale.grid import Grid, lay_grid
-from statebook.timescale.jerk import stop_at_bends
+from statebook.timescale.jerk import read_jerk, stop_at_bends
 from statebook.timescale.jerk_program import limit_jerk
 from statebook.timescale.limits import DENSE, Limit, TorqueLimit, kinematic_limits
 from statebook.timescale.path import Path
@@ -171,7 +171,7 @@ def time_scale(
     for s in halts:
         _check_place(grid, limits, float(s), "a dwell", 0.0)
     if jerk is not None:
-        bounds = read_bounds("jerk", jerk, path.dof, path)
+        bounds = read_jerk(jerk, path, grid)
         grid, bends = stop_at_bends(grid)
         stops = tuple(sorted((*stops, *bends)))
     try:
@@ -185,8 +185,8 @@ def time_scale(
     gap = max(1 - least / profile.duration, 0.0)
     if gap > tolerance:
         warnings.warn(
-            f"tolerance = {tolerance:g} could not be met on this path: the motion found takes at "
-            f"most {gap:.2g} of its duration more than the fastest one (the gap)",
+            f"tolerance = {tolerance:g} could not be met on this path: the motion found takes "
+            f"{'about' if jerk is not None else 'at most'} {gap:.2g} of its duration more than the fastest one (the gap)",
             stacklevel=2,
         )
     if duration is not None:
