@@ -22,6 +22,7 @@ from statebook.timescale.profile import Profile, audit
 from statebook.timescale.rows import MARGIN
 
 _FIRST, _LAST = 50, 1600  # intervals of the coarsest and of the finest grid of a section
+_SEARCH = 200  # intervals of the finest grid on which a first motion is looked for
 _STEPS = 10  # programs on one grid, at most
 _SETTLED = 0.05  # part of the tolerance by which the time still changes at the last one
 _LOOK = (0.0, 0.5, 1.0)  # where in an interval limits are asked for
@@ -212,7 +213,7 @@ def _refined(
                 gap = min(gap, 1.5 * change + 2 * _SETTLED * tolerance)
             if profile is not None and (best is None or profile.duration < best.duration):
                 best = profile
-        if gap <= tolerance or count >= _LAST:
+        if gap <= tolerance or count >= (_LAST if best is not None else _SEARCH):
             if best is None:
                 raise _infeasible(*motion.culprit)
             return best, gap

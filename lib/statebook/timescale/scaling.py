@@ -184,9 +184,10 @@ def time_scale(
         raise explain(stuck) from None
     gap = max(1 - least / profile.duration, 0.0)
     if gap > tolerance:
+        most = "about" if jerk is not None else "at most"
         warnings.warn(
             f"tolerance = {tolerance:g} could not be met on this path: the motion found takes "
-            f"{'about' if jerk is not None else 'at most'} {gap:.2g} of its duration more than the fastest one (the gap)",
+            f"{most} {gap:.2g} of its duration more than the fastest one (the gap)",
             stacklevel=2,
         )
     if duration is not None:
