@@ -11,13 +11,14 @@ from statebook.timescale.grid import lay_grid
 from statebook.timescale.limits import AccelerationLimit, Limit, VelocityLimit, kinematic_limits
 from statebook.timescale.profile import Profile
 from statebook.timescale.rows import stage_rows
-from statebook.timescale.solve import _first_scale, refine
+from statebook.timescale.solve import _require_bounded, refine
 from statebook.timescale.stages import fastest_profile
 from statebook.timescale.torques import torque_limit
 
 LINE = sb.Path.through([[0.0, 1.0]])
 ARM = sb.PlanarArm(lengths=(0.5, 0.4), masses=(2.0, 1.0))
 Z = np.linspace(0, 1, 101)
+FAR = 1e6  # times the scale: no s'^2 is above it
 
 
 def some_limits(kind: str, path: sb.Path) -> list[Limit]:
@@ -52,7 +53,7 @@ def test_an_interval_at_the_edge_of_its_inequalities_is_at_its_limit(kind: str, 
     count = len(grid.h)
     rng = np.random.default_rng(seed)
     curvature, scale = rng.uniform(-1, 1, count), 10 ** rng.uniform(-2, 2, count)
-    rows = stage_rows(limits, grid, curvature, scale)
+    rows = stage_rows(limits, grid, curvature, scale, FAR * np.stack([scale, scale]))
     x0, x1, binding = at_the_edge(rows, scale, seed)
     profile = Profile(grid, x0, x1, curvature, np.zeros((2, count, 2)))
     use = limits[0].use(grid, Z, profile.u(Z), profile.x(Z))
@@ -61,7 +62,7 @@ def test_an_interval_at_the_edge_of_its_inequalities_is_at_its_limit(kind: str, 
     assert np.median(highest) > 0.999 and highest.min() > 0.8
     # The inequality that binds is named after the row that is used most, and its side.
     worst = use.max(axis=0).argmax(axis=1)
-    named = [rows.labels[i] for i in binding]
+    named = [rows.labels[rows.which[i, k]] for i, k in enumerate(binding)]
     assert np.mean(worst == [row for _, row, _ in named]) > 0.98
     if kind == "acceleration":
         value = limits[0].values(grid, Z, profile.u(Z), profile.x(Z))
@@ -78,7 +79,7 @@ def test_the_inequalities_are_balanced(kind: str, size: float) -> None:
     path = sb.Path.through(np.random.default_rng(1).uniform(-1, 1, (2, 5)), s=size * np.arange(5))
     grid, _, _ = lay_grid(path, 0.0, 0.0, 2000)
     scale = np.full(len(grid.h), size**2)
-    rows = stage_rows(some_limits(kind, path), grid, 0 * scale, scale)
+    rows = stage_rows(some_limits(kind, path), grid, 0 * scale, scale, FAR * np.stack([scale, scale]))
     used = np.hypot(rows.w, rows.x) > 0
     assert np.hypot(rows.w, rows.x)[used] == pytest.approx(np.ones(used.sum()))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -86,20 +87,6 @@ def test_the_inequalities_are_balanced(kind: str, size: float) -> None:
     nearest = ratio.min(axis=1)
     assert np.all(nearest > 0.7) and np.all((nearest < 1.42) | (rows.step == 1))
     assert np.any(rows.step < 1) and set(np.frexp(rows.step)[0]) == {0.5}  # powers of two
-
-
-@pytest.mark.parametrize(("kind", "places"), [("speed", [0.0, 1.0]), ("acceleration", [0.5])])
-def test_a_sketch_looks_at_the_ends_or_in_the_middle(kind: str, places: list) -> None:
-    path = sb.Path.through([[0, 1, 0.5, 2], [1, 0, 0, 3.0]])
-    limits = some_limits(kind, path)
-    grid, _, _ = lay_grid(path, 0.0, 0.0, 30)
-    curvature = np.random.default_rng(0).uniform(-1, 1, len(grid.h))
-    scale = np.ones(len(grid.h))
-    x0, x1, _ = at_the_edge(stage_rows(limits, grid, curvature, scale, sketch=True), scale, 0)
-    profile = Profile(grid, x0, x1, curvature, np.zeros((2, len(scale), 2)))
-    z = np.array(places)
-    use = limits[0].use(grid, z, profile.u(z), profile.x(z)).max(axis=(0, 2))
-    assert use == pytest.approx(np.ones(len(use)), rel=1e-8)
 
 
 def parabola() -> sb.Path:
@@ -168,7 +155,7 @@ def straight(intervals: int, speed: np.ndarray) -> tuple[list[Limit], Profile]:
 def test_the_fastest_profile_is_not_refined_and_a_slow_one_is() -> None:
     s = np.linspace(0, 1, 11)
     limits, fastest = straight(10, 2 * np.minimum(s, 1 - s))
-    grid, curvature, scale = refine(limits, fastest, 1e-3)
+    grid, curvature = refine(limits, fastest)
     assert grid.h == pytest.approx(np.full(10, 0.1))
     assert curvature == pytest.approx(np.zeros(10))
     assert scale == pytest.approx(2 * (1 - s[:-1]))

@@ -58,7 +58,12 @@ def read_bounds(name: str, value: Any, rows: int, path: Path, around_zero: bool 
         values = np.array([at(s) for s in (cells[1:] + cells[:-1]) / 2])
         widest, reach = _reach(values)
         found = fit(
-            lambda s: np.clip([at(si) for si in s], -reach, reach), cells, _DEGREE, MISFIT, (0,)
+            lambda s: np.clip([at(si) for si in s], -reach, reach),
+            cells,
+            _DEGREE,
+            MISFIT,
+            (0,),
+            rough=True,
         )
         found.curve.c[-1] += np.repeat([1.0, -1.0], rows) * found.error[0]
         return Bounds(widest[:rows], widest[rows:], found.curve)

@@ -13,6 +13,7 @@ from statebook.timescale.grid import Grid
 from statebook.timescale.path import horner
 
 _DEPTH = 14  # halvings of a piece
+_MOST = 4000  # pieces that are halved at a time
 _SPARE = 2  # Chebyshev coefficients beyond the degree, which show the error
 _SAFETY = 3.0  # on the error, for the coefficients that were not looked at
 _STALLED = 0.25  # halving a piece makes the error of a smooth function much smaller than this
@@ -53,7 +54,15 @@ def _matrices(degree: int) -> tuple[np.ndarray, ...]:
 
 
 def fit(
-    values: Values, knots: np.ndarray, degree: int, tolerance: float, orders: tuple[int, ...]
+    values: Values,
+    knots: np.ndarray,
+    degree: int,
+    tolerance: float,
+    orders: tuple[int, ...],
+    *,
+    rough: bool = False,
+    stall: float = np.inf,
+    floor: float = 0.0,
 ) -> Fit:
     """Fit polynomials to a function, in pieces as short as its derivatives need.
 
@@ -69,14 +78,18 @@ def fit(
         Where pieces must end.
     degree : int
     tolerance : float
-        Part of a derivative's largest value by which it may be missed; for the function itself,
-        order 0, of its smallest value in the piece. Then it may jump: the place is found by
-        bisection and made a knot.
+        Part of a derivative's largest value by which it may be missed.
     orders : tuple of int <= 2
         The derivatives that count.
+    rough : bool
+        Whether the function may jump: the place is found by bisection and made a knot. The
+        tolerance is then a part of its smallest value in the piece.
+    stall : float
+        An error that no longer falls is accepted below this part of the largest value.
+    floor : float
+        Largest values below this count as this.
     """
     nodes, to_chebyshev, to_powers = _matrices(degree)
-    rough = orders == (0,)
     k = np.arange(degree + 1, degree + 1 + _SPARE)
     steepest = _SAFETY * np.stack([np.ones(_SPARE), k**2, k**2 * (k**2 - 1) / 3])[list(orders)]
     todo, before = np.stack([knots[:-1], knots[1:]], axis=1), np.inf
@@ -97,12 +110,12 @@ def fit(
             c = coefficients[:, ::-1].swapaxes(0, 1)
             pieces = np.arange(len(todo))
             seen = [np.abs(horner(c, pieces, np.outer(nodes, h), order)) for order in orders]
-            scale = np.array([s.max(axis=(0, 1)) for s in seen])[:, None]
+            scale = np.maximum(np.array([s.max(axis=(0, 1)) for s in seen])[:, None], floor)
         tail = tail.sum(axis=1)
         open_ = error > tolerance * scale
         if not rough:
-            open_ &= tail < _STALLED * before
-        unfinished = open_.any(axis=(0, 2)) & (depth < _DEPTH)
+            open_ &= (tail < _STALLED * before) | (error > stall * scale)
+        unfinished = open_.any(axis=(0, 2)) & (depth < _DEPTH) & (len(open_[0]) < _MOST)
         done.append((start[~unfinished], coefficients[~unfinished], error[:, ~unfinished]))
         if not unfinished.any():
             break

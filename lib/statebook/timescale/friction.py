@@ -35,7 +35,7 @@ _LOOK = np.array([1e-9, 0.25, 0.5, 0.75, 1 - 1e-9])  # in intervals
 
 
 def friction_form(
-    dynamics: Callable[..., np.ndarray], q: np.ndarray, slope: np.ndarray
+    dynamics: Callable[..., np.ndarray], q: np.ndarray, slope: np.ndarray, noise: float
 ) -> tuple[bool, bool]:
     """Return whether there is dry and viscous friction; refuse what is of another form.
 
@@ -45,6 +45,8 @@ def friction_form(
         (dof, N) each to (rows, N).
     q, slope : array, shape (dof, N)
         Points of the path, and p' there.
+    noise : float
+        Part of the torques that is the function's own rounding.
 
     Raises
     ------
@@ -60,7 +62,8 @@ def friction_form(
     some = [0, 3, 6]
     parts = np.linalg.solve(powers[some], torques[some].reshape(3, -1))
     sizes = powers[:, :, None] * np.abs(parts)
-    allowed = _FORM * sizes.sum(axis=1).max(axis=1) + 1e-12 * np.abs(static).max() + 1e-300
+    allowed = max(_FORM, 10 * noise) * sizes.sum(axis=1).max(axis=1) + 1e-300
+    allowed += max(1e-12, 10 * noise) * np.abs(static).max()
     off = np.abs(powers @ parts - torques.reshape(len(speeds), -1)).max(axis=1)
     if np.any(off > allowed):
         raise ValueError(
@@ -108,7 +111,7 @@ def first_speed(limit: TorqueLimit) -> Callable[[Grid], np.ndarray]:
     """Return a guess of s'^2 (5, N): viscous friction takes a quarter of what torque there is."""
 
     def guess(grid: Grid) -> np.ndarray:
-        _, _, c, dry, drag = limit.parts(grid, _LOOK, np.ones(len(grid.h)))
+        _, _, c, dry, drag = limit.parts(grid, _LOOK)
         lower, upper = limit.bounds(grid, _LOOK)
         room = np.minimum(upper - c - dry, c + dry - lower)
         room = np.clip(room, 1e-3 * limit.scale, limit.scale)

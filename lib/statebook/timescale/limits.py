@@ -9,17 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from statebook.timescale import bernstein
 from statebook.timescale.bounds import MISFIT, read_bounds
 from statebook.timescale.curves import on_grid
 from statebook.timescale.grid import Grid
 from statebook.timescale.path import Path
 
 Terms = tuple[np.ndarray | None, np.ndarray, np.ndarray | None]
-TORQUE_DEGREE = 6  # of the polynomials that stand for torques within an interval
 SIDES = 32  # of the polygon in the half-disc of a norm
 _THIRDS = np.linspace(0, 1, 4)
-DENSE = 17  # points per interval at which torques are looked at
+DENSE = 5  # points per interval at which torques are looked at
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +112,14 @@ class Limit(ABC):
 
         Of a range that does not enclose 0 it is 1 plus the excess in units of the scale.
         """
-        value = self.values(grid, z, u, x)
+        return self.part_used(self.values(grid, z, u, x), grid, z)
+
+    def audited_use(self, grid: Grid, z: np.ndarray, u: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Return the same for the audit: from the caller's own function where there is one."""
+        return self.use(grid, z, u, x)
+
+    def part_used(self, value: np.ndarray, grid: Grid, z: np.ndarray) -> np.ndarray:
+        """Return the part of the bounds that values (K, N, R) of the quantity use."""
         lowest, highest = self.bounds(grid, z)
         around = (lowest < 0) & (highest > 0)
         upper, lower = np.where(around, highest, 1.0), np.where(around, lowest, -1.0)
@@ -291,7 +296,10 @@ class TorqueLimit(Limit):
 
     Attributes
     ----------
-    dynamics : callable
+    dynamics : callable or None
+        (dof, N) each to (rows, N); for the audit.
+    fitted : scipy.interpolate.PPoly
+        a, b, c, k and d as functions of s, 5 R columns.
     friction : (bool, bool)
         Whether there is dry friction k, and viscous friction d.
     sliding : bool
@@ -300,50 +308,37 @@ class TorqueLimit(Limit):
         Grid to alpha, beta, distance (N,): the line in x that stands for sqrt(x).
     """
 
-    dynamics: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+    dynamics: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None
+    fitted: Any
     friction: tuple[bool, bool] = (False, False)
     sliding: bool = True
     lines: Callable[[Grid], tuple[np.ndarray, ...]] | None = None
 
     def degree(self, grid: Grid) -> int:
-        return TORQUE_DEGREE
+        return len(self.fitted.c) + 1
 
-    def parts(self, grid: Grid, z: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, ...]:
+    def parts(self, grid: Grid, z: np.ndarray) -> tuple[np.ndarray, ...]:
         """Return a, b, c, k and d at fractions z of the intervals, each (K, N, R)."""
+        a, b, c, k, d = np.split(on_grid(self.fitted, grid, z, 0), 5, axis=2)
+        rate = 1 / grid.stretch[:, None]
+        return a * rate, b * rate**2, c, k, d * rate
+
+    def actual(self, grid: Grid, z: np.ndarray, u: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Return the torques that the caller's function gives, (K, N, R)."""
+        if self.dynamics is None or not self.sliding:
+            return self.values(grid, z, u, x)
         p, p1, p2 = (grid.path(z, i) for i in range(3))
-        shape = p.shape[:2]
-        x = np.broadcast_to(np.where(speed > 0, speed, 1.0)[:, None], (*shape, 1))
+        slope = _one_sided(p1, grid.path(np.array([0.5]), 1)[0]) if any(self.friction) else p1
+        u, x = u[:, :, None], x[:, :, None]
+        motion = p, slope * np.sqrt(x), p1 * u + p2 * x
+        q, v, a = (np.moveaxis(y, -1, 0).reshape(p.shape[2], -1) for y in motion)
+        return np.moveaxis(self.dynamics(q, v, a).reshape(-1, *p.shape[:2]), 0, -1)
 
-        def torques(velocity: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
-            arguments = (
-                np.moveaxis(y, -1, 0).reshape(p.shape[2], -1) for y in (p, velocity, acceleration)
-            )
-            return np.moveaxis(self.dynamics(*arguments).reshape(-1, *shape), 0, -1)
-
-        still = np.zeros_like(p)
-        c = torques(still, still)
-        a = (torques(still, p1 * x) - c) / x
-        k, d = np.zeros_like(c), np.zeros_like(c)
-        if any(self.friction):
-            slope = _one_sided(p1, grid.path(np.array([0.5]), 1)[0])
-        else:
-            slope = p1
-
-        def moving(factor: float) -> np.ndarray:
-            return torques(slope * factor * np.sqrt(x), p2 * factor**2 * x) - c
-
-        # moving(n) = k + n d sqrt(x) + n^2 b x
-        dry, viscous = self.friction
-        b = moving(1.0)
-        if dry or viscous:
-            one, two = b, moving(2.0)
-            b = (two - 3 * one + 2 * moving(0.5)) / 1.5 if viscous else (two - one) / 3
-            d = two - one - 3 * b if viscous else d
-            k = one - d - b if dry else k
-        return a, b / x, c, k, d / np.sqrt(x)
+    def audited_use(self, grid: Grid, z: np.ndarray, u: np.ndarray, x: np.ndarray) -> np.ndarray:
+        return self.part_used(self.actual(grid, z, u, x), grid, z)
 
     def terms(self, grid: Grid, z: np.ndarray, speed: np.ndarray) -> Terms:
-        a, b, c, k, d = self.parts(grid, z, speed)
+        a, b, c, k, d = self.parts(grid, z)
         if self.sliding:
             c = c + k
         if self.lines is not None:
@@ -354,27 +349,16 @@ class TorqueLimit(Limit):
     def room(self, grid: Grid) -> np.ndarray | float:
         if self.lines is None:
             return self.margin
-        drag = np.abs(self.parts(grid, _THIRDS, np.ones(len(grid.h)))[4]).max(axis=0, keepdims=True)
-        return np.asarray(drag / self.scale * self.lines(grid)[2][:, None])
+        drag = np.abs(self.parts(grid, _THIRDS)[4]).max(axis=0, keepdims=True)
+        return np.asarray(drag / self.scale * self.lines(grid)[2][:, None] + self.margin)
 
     def values(self, grid: Grid, z: np.ndarray, u: np.ndarray, x: np.ndarray) -> np.ndarray:
-        a, b, c, k, d = self.parts(grid, z, x.max(axis=0))
+        a, b, c, k, d = self.parts(grid, z)
         u, x = u[:, :, None], x[:, :, None]
         return a * u + b * x + c + (k if self.sliding else 0.0) + d * np.sqrt(x)
 
     def name(self, row: int, side: str) -> str:
         return f"{self.kind} of row {row}, {side} limit"
-
-    def misfit(self, grid: Grid, u: Callable[..., Any], x: Callable[..., Any]) -> np.ndarray:
-        """Return the part of the bounds by which polynomials miss the torques, (N,).
-
-        u and x give s'' and s'^2, (K, N), at fractions z (K,) of the intervals.
-        """
-        nodes, dense = bernstein.nodes(TORQUE_DEGREE), np.linspace(0, 1, DENSE)
-        known, actual = (Limit.values(self, grid, z, u(z), x(z)) for z in (nodes, dense))
-        between = bernstein.to_values(TORQUE_DEGREE, dense) @ bernstein.from_values(TORQUE_DEGREE)
-        off = np.abs(bernstein.along(between, known) - actual) / self.scale
-        return np.asarray(off.max(axis=(0, 2)))
 
 
 def kinematic_limits(

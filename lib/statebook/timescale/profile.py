@@ -182,7 +182,7 @@ class Use:
         When and where, the first time.
     exact : bool
         True if it is the maximum over all time to rounding; False for torques, which are looked
-        at on 17 points of each interval.
+        at on 5 points of each interval.
     """
 
     limit: str
@@ -247,7 +247,7 @@ def audit(profile: Profile, limits: Sequence[Limit]) -> Audit:
             y = bernstein.nodes(degree) if exact else np.linspace(0, 1, DENSE)
             z = warp(y)
             u, x = part.u(z), part.x(z)
-            sampled = limit.use(part.grid, z, u, x)
+            sampled = limit.audited_use(part.grid, z, u, x)
             highest, places = _maxima(part, limit, y, warp) if exact else (sampled.max((0, 1)), [])
             highest = highest + limit.uncertainty(part.grid, z, u, x)
             found.append((sampled, highest, places, index, z))

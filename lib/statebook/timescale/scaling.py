@@ -20,7 +20,7 @@ from statebook.timescale.friction import at_rest, rests, reversals, settle
 from statebook.timescale.grid import Grid, lay_grid
 from statebook.timescale.jerk import read_jerk, stop_at_bends
 from statebook.timescale.jerk_program import limit_jerk
-from statebook.timescale.limits import DENSE, Limit, TorqueLimit, kinematic_limits
+from statebook.timescale.limits import Limit, TorqueLimit, kinematic_limits
 from statebook.timescale.path import Path
 from statebook.timescale.profile import Profile, audit
 from statebook.timescale.rows import MARGIN
@@ -153,6 +153,7 @@ def time_scale(
             "and the fastest motion starts with a jump"
         )
     cuts = [curve.x for limit in limits for curve in (limit.along, limit.curve) if curve]
+    cuts += [limit.fitted.x for limit in limits if isinstance(limit, TorqueLimit)]
     halts = path.waypoint_s[pauses > 0]
     dry = [one for one in limits if isinstance(one, TorqueLimit) and one.friction[0]]
     if dry:
@@ -254,22 +255,23 @@ def _check_place(grid: Grid, limits: Sequence[Limit], s: float, cause: str, spee
 
 
 def _within_limits(limits: Sequence[Limit], profile: Profile) -> Profile:
-    """Audit the profile; slow it down by the rounding that is left, split it for torques."""
+    """Audit the profile; slow it down by the rounding that is left, leave more room for torques."""
     torques = [limit for limit in limits if isinstance(limit, TorqueLimit)]
     if not torques:
         factor = max(use.factor for use in audit(profile, limits))
         return profile.slower(factor * (1 + _ROUNDING)) if factor > 1 else profile
-    for _ in range(PASSES):
-        if audit(profile, limits).worst.use <= 1 + MARGIN:
+    for attempt in range(PASSES):
+        excess = audit(profile, limits).worst.use - 1
+        if excess <= MARGIN:
             return profile
-        z = np.linspace(0, 1, DENSE)
-        use = np.max(
-            [t.use(profile.grid, z, profile.u(z), profile.x(z)).max(axis=(0, 2)) for t in torques],
-            axis=0,
-        )
-        grid, parent, _, _ = profile.grid.split(np.where(use > 1, 2, 1))
-        curvature = profile.curvature[parent] * (grid.h / profile.grid.h[parent]) ** 2
-        profile = solve(limits, grid, curvature, ceiling(limits, grid).x)
+        if attempt:  # the polynomials miss the torques by more than was seen
+            limits = [
+                replace(one, margin=one.margin + 2 * excess) if one in torques else one
+                for one in limits
+            ]
+            torques = [limit for limit in limits if isinstance(limit, TorqueLimit)]
+        grid = profile.grid
+        profile = solve(limits, grid, profile.curvature, ceiling(limits, grid).x)
     worst = audit(profile, limits).worst
     raise InfeasiblePathError(
         f"the {worst.limit} of row {worst.row} could not be kept within its limit at s = "
@@ -279,9 +281,6 @@ def _within_limits(limits: Sequence[Limit], profile: Profile) -> Profile:
     )
 
 
-_JUMP = 1e-2  # part of a torque limit that is too much for the finest grids
-
-
 def explain(stuck: StuckError) -> InfeasiblePathError:
     """Return the error that names the limit that cannot be met.
 
@@ -289,9 +288,6 @@ def explain(stuck: StuckError) -> InfeasiblePathError:
     can be; the one with the largest multiplier is named.
     """
     grid, rows, i = stuck.grid, stuck.rows, stuck.interval
-
-    def at_rest(z: np.ndarray) -> np.ndarray:
-        return np.zeros((len(z), len(grid.h)))  # s'' and s'^2
 
     w, x, c = rows.w[i], rows.x[i], rows.c[i]
     low, high = stuck.following
@@ -310,11 +306,6 @@ def explain(stuck: StuckError) -> InfeasiblePathError:
     name = limit.name(row, side)
     s = float(grid.s[i])
     advice = "Raise that limit, or change the path or the speeds at its ends"
-    if isinstance(limit, TorqueLimit) and limit.misfit(grid, at_rest, at_rest)[i] > _JUMP:
-        advice = (
-            "The torque of the robot at rest jumps there, or changes too fast: make it smooth, or "
-            "time the path in two parts"
-        )
     if stuck.x is None:
         reason = "no speed there lets the rest of the path be driven"
     else:

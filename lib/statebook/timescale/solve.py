@@ -8,7 +8,7 @@ import numpy as np
 
 from statebook.timescale.ceiling import ceiling
 from statebook.timescale.grid import Grid
-from statebook.timescale.limits import Limit, TorqueLimit
+from statebook.timescale.limits import Limit
 from statebook.timescale.profile import Profile
 from statebook.timescale.rows import FREE
 from statebook.timescale.stages import NARROWING, StuckError, fastest_profile
@@ -17,13 +17,12 @@ _LOOK = np.array([0.02, 0.25, 0.5, 0.75, 0.98])  # where in an interval slack is
 _ENDS = np.array([0.0, 0.5, 1.0])
 _ACTIVE = 0.7  # a limit used this much is taken for the one the profile follows
 _PARTS = 4  # an interval is split into at most so many
-_MISFIT = 1e-3  # part of a torque limit by which polynomials may miss the torque
 
 
 def refine(
     limits: Sequence[Limit], profile: Profile, stuck: bool = False
 ) -> tuple[Grid, np.ndarray]:
-    """Split the intervals where time is lost, and those in which torques change too fast.
+    """Split the intervals where time is lost.
 
     On the fastest motion some limit is reached at every instant: time is lost where none is.
 
@@ -46,9 +45,6 @@ def refine(
     allowed = max(float(lost.sum()), 1e-12 * profile.duration) / (_GAIN * len(lost))
     parts = np.clip(np.ceil(np.sqrt(lost / allowed)), 1 + stuck, _PARTS).astype(int)
     parts[_bottlenecks(profile)] = _PARTS
-    for limit in limits:
-        if isinstance(limit, TorqueLimit):
-            parts[limit.misfit(profile.grid, profile.u, profile.x) > _MISFIT] = _PARTS
     grid, parent, left, right = profile.grid.split(parts)
     z = left + np.multiply.outer(_ENDS, right - left)
     bulge, chord = profile.bulge[parent], (profile.x1 - profile.x0)[parent]

@@ -249,7 +249,7 @@ class TimedPath:
     def audit(self) -> Audit:
         """Return the largest use of every limit over all time, and where it is.
 
-        For velocity, acceleration and speed it is exact; torques are looked at on 17 points of
+        For velocity, acceleration and speed it is exact; torques are looked at on 5 points of
         each interval. `time_scale` has done this before it returned.
         """
         return self._audit
