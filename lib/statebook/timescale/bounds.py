@@ -139,7 +139,7 @@ def _pair(
 def require_joints(name: str, value: Any, path: Path) -> None:
     """Explain limits for as many joints as the path has waypoints."""
     length, count = np.shape(value)[:1], path.waypoints
-    if length == (count,) and count not in (0, path.dof):
+    if length == (count,) and count not in (0, path.dof) and path.dof > 1:
         raise ValueError(
             f"{name} is given for {count} joints, but the path has {path.dof} joints and {count} "
             "waypoints: Path.through takes one waypoint in each column; if each row is one, pass "
