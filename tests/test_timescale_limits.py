@@ -120,7 +120,7 @@ def test_the_audit_of_limits_that_vary(seed: int) -> None:
     uses.append(np.array([np.max(np.abs(a[i]) / np.interp(s, at, knots[i])) for i in range(3)]))
     uses.append(np.max(np.linalg.norm(v, axis=0) / np.interp(s, at, speed), keepdims=True))
     found = np.array([use.use for use in timed.audit()])
-    assert found == pytest.approx(np.concatenate(uses), rel=3e-4)
+    assert found == pytest.approx(np.concatenate(uses), rel=5e-3)
     assert found.max() <= 1 + 1e-12
     assert all(use.exact for use in timed.audit())
 
@@ -143,12 +143,12 @@ def test_torque_limits_that_vary() -> None:
     timed = sb.time_scale(LINE, torque=lambda s: 2 - 0.5 * s, inverse_dynamics=load)
     s, q, v, a = dense(timed)
     assert np.max(np.abs(load(q, v, a)[0]) / (2 - 0.5 * s)) <= 1 + 1e-8
-    weak = [[2.0, 2.0, 0.5, 0.5, 2.0]]
+    weak = [[1.2, 0.5, 0.5, 0.5, 2.0]]
     path = sb.Path.through([np.linspace(0, 1, 5)])
     with pytest.raises(sb.InfeasiblePathError) as caught:
         sb.time_scale(path, torque=weak, inverse_dynamics=load)
     assert caught.value.constraint == "torque of row 0, upper limit"
-    assert 0.4 < caught.value.s < 0.9
+    assert 0 < caught.value.s < 0.9
 
 
 # Norms
@@ -261,15 +261,16 @@ def test_whatever_the_forward_kinematics_returns(kinematics: Callable) -> None:
 def test_a_tool_in_single_precision() -> None:
     """Its second derivative is known to less; the limit holds by what it is known to."""
     path = sb.Path.through(np.random.default_rng(0).uniform(-2, 2, (2, 4)))
-    timed = sb.time_scale(
-        path,
-        3.0,
-        30.0,
-        tool_acceleration=2.0,
-        forward_kinematics=lambda q: hand(q).astype(np.float32),
-    )
+    with pytest.warns(UserWarning, match="tolerance"):
+        timed = sb.time_scale(
+            path,
+            3.0,
+            30.0,
+            tool_acceleration=2.0,
+            forward_kinematics=lambda q: hand(q).astype(np.float32),
+        )
     acceleration = hand_motion(*dense(timed)[1:])[1]
-    assert 0.95 < np.linalg.norm(acceleration, axis=0).max() / 2 <= 1
+    assert 0.97 < np.linalg.norm(acceleration, axis=0).max() / 2 <= 1
 
 
 def test_joints_that_move_while_the_tool_rests() -> None:
@@ -283,7 +284,7 @@ def test_joints_that_move_while_the_tool_rests() -> None:
 @pytest.mark.parametrize(
     ("options", "error", "message"),
     [
-        ({"velocity": [1.0, 2.0, 3.0]}, ValueError, r"shape \(2,\) or \(2, 2\)"),
+        ({"velocity": [1.0, 2.0, 3.0, 4.0]}, ValueError, r"shape \(2,\) or \(2, 2\)"),
         ({"velocity": [[1, 2, 3], [1, -2, 3]]}, ValueError, "waypoint 1"),
         ({"velocity": lambda s: [1.0] * 3}, ValueError, r"velocity\(s\) must be a number"),
         ({"velocity": lambda s: np.nan}, ValueError, r"velocity\(s\) must not be NaN"),
@@ -301,7 +302,7 @@ def test_joints_that_move_while_the_tool_rests() -> None:
         (
             {"tool_acceleration": 1.0, "forward_kinematics": lambda q: np.abs(q - 0.4)},
             ValueError,
-            r"smooth.* near s = 0\.[34]",
+            r"smooth.* between s = 0\.25 and 0\.5",
         ),
     ],
 )
@@ -349,7 +350,7 @@ def test_fitted_derivatives_have_honest_errors() -> None:
         np.stack([9 * np.cos(9 * s), np.exp(s)]),
         np.stack([-81 * np.sin(9 * s), np.exp(s)]),
     )
-    for precision, largest in ((np.float64, 1e-5), (np.float32, 1.0)):
+    for precision, largest in ((np.float64, 1e-5), (np.float32, 5.0)):
         found = fit(
             lambda s, p=precision: wave(s).astype(p).astype(float),
             np.array([0, 1.0]),

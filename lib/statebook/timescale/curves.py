@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
+from math import factorial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ _DEPTH = 14  # halvings of a piece
 _MOST = 4000  # pieces that are halved at a time
 _SPARE = 2  # Chebyshev coefficients beyond the degree, which show the error
 _SAFETY = 3.0  # on the error, for the coefficients that were not looked at
-_STALLED = 0.25  # halving a piece makes the error of a smooth function much smaller than this
+_STALLED = 0.5  # halving a piece makes the error of a smooth function much smaller than this
 
 Values = Callable[[np.ndarray], np.ndarray]
 
@@ -68,7 +69,7 @@ def fit(
 
     On each piece the function is interpolated at Chebyshev points inside it; the coefficients
     beyond the degree are left out and bound the error. A piece is halved until that error is
-    small in all derivatives, or no longer falls: then it is the function's own noise.
+    small in all derivatives, or no longer falls: that is the function's own noise.
 
     Parameters
     ----------
@@ -92,7 +93,8 @@ def fit(
     nodes, to_chebyshev, to_powers = _matrices(degree)
     k = np.arange(degree + 1, degree + 1 + _SPARE)
     steepest = _SAFETY * np.stack([np.ones(_SPARE), k**2, k**2 * (k**2 - 1) / 3])[list(orders)]
-    todo, before = np.stack([knots[:-1], knots[1:]], axis=1), np.inf
+    todo = np.stack([knots[:-1], knots[1:]], axis=1)
+    before: tuple[np.ndarray, ...] = ()  # error, coefficients and left end of the pieces halved
     done: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
     scale = np.zeros(0)
     for depth in range(_DEPTH + 1):
@@ -111,20 +113,28 @@ def fit(
             pieces = np.arange(len(todo))
             seen = [np.abs(horner(c, pieces, np.outer(nodes, h), order)) for order in orders]
             scale = np.maximum(np.array([s.max(axis=(0, 1)) for s in seen])[:, None], floor)
-        tail = tail.sum(axis=1)
         open_ = error > tolerance * scale
-        if not rough:
-            open_ &= (tail < _STALLED * before) | (error > stall * scale)
-        unfinished = open_.any(axis=(0, 2)) & (depth < _DEPTH) & (len(open_[0]) < _MOST)
+        if depth and not rough:
+            noisy = (error > _STALLED * before[0]).any(axis=0)
+            noisy &= (before[0] <= stall * scale).all(axis=0)
+            open_ &= ~noisy
+            shifted = _expanded(before[1], start - before[2])
+            coefficients = np.where(noisy[:, None], shifted, coefficients)
+            error = np.where(noisy, before[0], error)
+        unfinished = open_.any(axis=(0, 2)) & (depth < _DEPTH) & (len(start) < _MOST)
         done.append((start[~unfinished], coefficients[~unfinished], error[:, ~unfinished]))
         if not unfinished.any():
             break
-        todo, tail = todo[unfinished], tail[unfinished]
+        todo = todo[unfinished]
         cut = np.array([_jump(values, *piece) for piece in todo]) if rough else todo.mean(axis=1)
         todo = np.concatenate(
             [np.stack([todo[:, 0], cut], axis=1), np.stack([cut, todo[:, 1]], axis=1)]
         )
-        before = np.tile(tail, (2, 1))
+        before = (
+            np.tile(error[:, unfinished], (1, 2, 1)),
+            np.tile(coefficients[unfinished], (2, 1, 1)),
+            np.tile(start[unfinished], 2),
+        )
     left, coefficients, error = (
         np.concatenate(parts, axis=i // 2) for i, parts in enumerate(zip(*done, strict=True))
     )
@@ -133,6 +143,13 @@ def fit(
         coefficients[order, ::-1].swapaxes(0, 1).copy(), np.append(left[order], knots[-1])
     )
     return Fit(curve, error[:, order], scale.reshape(len(orders), -1) if not rough else scale[0])
+
+
+def _expanded(coefficients: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    """Return polynomials (P, degree + 1, rows), lowest power first, about other points (P,)."""
+    c, pieces = coefficients[:, ::-1].swapaxes(0, 1), np.arange(len(offset))
+    terms = [horner(c, pieces, offset, m) / factorial(m) for m in range(len(c))]
+    return np.stack(terms, axis=1)
 
 
 def _jump(values: Values, start: float, end: float) -> float:

@@ -67,6 +67,11 @@ class Limit(ABC):
         along = 0 if self.along is None else len(self.along.c) - 1
         return max(degree, along) * (2 if self.squared else 1)
 
+    @property
+    def blur(self) -> float:
+        """Part of the duration between what the rows allow and what is known to be impossible."""
+        return 2 * self.margin + self.norm * (1 - float(np.cos(np.pi / (2 * SIDES)))) / 2
+
     def motion(self, grid: Grid, z: np.ndarray, derivative: int) -> np.ndarray:
         """Return a derivative with respect to s of what moves, (K, N, R)."""
         if self.curve is None:

@@ -176,7 +176,8 @@ def time_scale(
         grid, bends = stop_at_bends(grid)
         stops = tuple(sorted((*stops, *bends)))
     try:
-        limits, profile, least = settle(limits, partial(fastest, grid=grid, tolerance=tolerance))
+        enough = max(tolerance, *(1.5 * limit.blur for limit in limits))
+        limits, profile, least = settle(limits, partial(fastest, grid=grid, tolerance=enough))
         least *= 1 - max(limit.loss for limit in limits)
         profile = _within_limits(limits, profile)
         if jerk is not None:

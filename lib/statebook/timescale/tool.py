@@ -22,7 +22,7 @@ from statebook.timescale.path import Path
 
 _DEGREE = 7  # of the polynomials that stand for the tool's position
 _TOLERANCE = 1e-7  # part of its derivatives by which these may miss them
-_SMOOTH = 1e-2  # a fit worse than this is no fit
+_SMOOTH = 0.05  # a fit worse than this is no fit
 
 
 def tool_limits(path: Path, speed: Any, acceleration: Any, kinematics: Any) -> list[Limit]:
@@ -75,7 +75,7 @@ def tool_limits(path: Path, speed: Any, acceleration: Any, kinematics: Any) -> l
                 along=along,
                 curve=found.curve,
                 slip=np.linalg.norm(slip, axis=1, keepdims=True) if rows == 1 else slip,
-                margin=4 * off,
+                margin=2 * off,
                 loss=MISFIT if callable(value) else 0.0,
             )
         )
@@ -116,12 +116,13 @@ def _fit_tool(path: Path, kinematics: Callable[..., Any]) -> Fit:
         return np.array([alone(column) for column in q.T])
 
     found = fit(position, path.curve.x, _DEGREE, _TOLERANCE, (1, 2))
-    bend = found.error[1] / np.maximum(found.scale[1].max(), found.scale[0].max() / np.ptp(s))
-    rough = np.flatnonzero((bend > _SMOOTH).any(axis=1))
-    if len(rough):
+    size = max(found.scale[1].max(), found.scale[0].max() / np.ptp(s), 1e-300)
+    off = found.error[1].max(axis=1) / size
+    if off.max() > _SMOOTH:
+        first, last = found.curve.x[off.argmax() + np.arange(2)]
         raise ValueError(
-            "forward_kinematics must be smooth, with two derivatives along the path, in double "
-            f"precision; near s = {found.curve.x[rough[0]]:.6g} its second derivative is known to "
-            f"{bend[rough[0]].max():.1g} of its size only"
+            "forward_kinematics must be smooth, with two derivatives along the path, and without "
+            f"noise; between s = {first:.6g} and {last:.6g} its second derivative is known to "
+            f"{off.max():.1g} of its size only"
         )
     return found
