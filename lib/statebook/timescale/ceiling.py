@@ -28,8 +28,10 @@ _ORDERS = np.arange(_COUNT)
 _TO_POWERS = np.linalg.inv(_NODES[:, None] ** _ORDERS)
 _SLOPES = (_ORDERS * _NODES[:, None] ** np.maximum(_ORDERS - 1, 0)) @ _TO_POWERS
 _AREAS = (_NODES[:, None] ** (_ORDERS + 1) / (_ORDERS + 1)) @ _TO_POWERS  # from 0 to the nodes
-_FLAT = 1e-9  # part of a row's largest a in the interval that counts as 0
-_STEEP = 3.0  # log E may change by so much in an interval, or the inequality is left out
+_FLAT = 1e-6  # part of a row's largest a in the interval that counts as 0
+_STEEP = 1.0  # log E may change by so much in an interval, or the inequality is left out
+_ROUGH = 1e-2  # the highest power in it may be so large
+_REST = 0.1  # what comes beyond the highest power is smaller than this part of it
 _ROUNDING = 1e-9
 _SAME = 1e-8  # part by which a given s'^2 may be above the bound
 _BLOCK = 2000  # intervals at a time
@@ -140,14 +142,23 @@ def _changes(
     rate = np.where(small, 0.0, 2 * h * drift / a)
     forward, backward = (a >= 0).all(axis=0), (a <= 0).all(axis=0)
     usable = (forward | backward) & (size > 0) & (np.abs(rate) <= _STEEP).all(axis=0)
-    growth = np.exp(np.tensordot(_AREAS, np.where(usable, rate, 0.0), 1))
+    rate = np.where(usable, rate, 0.0)
+    rest = np.abs(np.tensordot(_TO_POWERS[-1], rate, 1))
+    usable &= rest <= _ROUGH
+    growth = np.exp(np.tensordot(_AREAS, rate, 1))
     weight = 2 * h * a * growth
-    low, high = (
-        np.tensordot(_AREAS, weight * np.where(np.isfinite(v), v, 0.0), 1)
+    pushes = [
+        weight * np.where(np.isfinite(v), v, 0.0)
         for v in (np.where(forward, lower, upper), np.where(forward, upper, lower))
-    )
-    low -= _ROUNDING * np.abs(low)
-    high += _ROUNDING * np.abs(high)
+    ]
+    low, high = (np.tensordot(_AREAS, push, 1) for push in pushes)
+    off = [
+        (_ROUNDING + _REST * rest) * np.abs(push).max(axis=0)
+        + _REST * np.abs(np.tensordot(_TO_POWERS[-1], push, 1))
+        for push in pushes
+    ]
+    low -= np.where(_NODES[:, None, None] > 0, off[0], 0.0)
+    high += np.where(_NODES[:, None, None] > 0, off[1], 0.0)
     free = ~np.isfinite(lower).all(axis=0), ~np.isfinite(upper).all(axis=0)
     low[:, ~usable | np.where(forward, *free)] = -np.inf
     high[:, ~usable | np.where(forward, *free[::-1])] = np.inf
@@ -179,10 +190,10 @@ def _beside_turn(
     at = np.polynomial.polynomial.polyval(_NODES, area).T
     turn = np.polynomial.polynomial.polyval(left, area, tensor=False)
     node = _NODES[:, None]
-    low = np.where((node < left) & finite, at - _ROUNDING * np.abs(at), np.inf)
-    low[-1] = np.where(finite, turn - _ROUNDING * np.abs(turn), -np.inf)
-    high = np.where((node > left) & finite, at - turn, np.inf)
-    return low, high + _ROUNDING * np.where(np.isfinite(high), np.abs(high), 0.0)
+    off = _ROUNDING * np.abs(at).max(axis=0) + _REST * np.abs(weight[-1])
+    low = np.where((node < left) & finite, at - off, np.inf)
+    low[-1] = np.where(finite, turn - off, -np.inf)
+    return low, np.where((node > left) & finite, at - turn + off, np.inf)
 
 
 def _highest(a: np.ndarray, b: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:

@@ -165,7 +165,7 @@ def solve(
     every_row: bool = False,
 ) -> Profile:
     """Solve the stages, with a better scale or more room for rounding where it is needed."""
-    narrowing = NARROWING
+    narrowing, rescalings = NARROWING, 3
     smaller, scale = np.sort(top, axis=0)
     scale = np.where(
         scale > 0, np.where(smaller > 0, np.minimum(scale, _RANGE * smaller), scale), 1
@@ -180,8 +180,9 @@ def solve(
             narrowing *= 100
             continue
         reach = profile.controllable[1].max(axis=1)
-        if np.all(reach > 1e-3 * scale):
+        if rescalings == 0 or np.all(reach > scale / _RANGE):
             return profile
+        rescalings -= 1
         scale = np.where(reach > 0, reach, scale)
 
 

@@ -97,8 +97,8 @@ def fitted_torques(limit: TorqueLimit, path: Path, tolerance: float) -> TorqueLi
             row = int(error[worst].argmax())
             raise InfeasiblePathError(
                 f"the path cannot be driven within the limits: at s = {knots[worst]:.6g} the "
-                f"torque of row {row} jumps there, or changes too fast; make it smooth, or time the path "
-                "in two parts",
+                f"torque of row {row} jumps there, or changes too fast; make it smooth, or time "
+                "the path in two parts",
                 constraint=f"torque of row {row}",
                 s=float(knots[worst]),
             )
