@@ -54,7 +54,7 @@ def test_rest_to_rest_takes_two_root_d_over_a() -> None:
 )
 def test_trapezoid(d: float, v: float, up: float, down: float) -> None:
     bounds = [(-down, up)] if d > 0 else [(-up, down)]
-    timed = sb.time_scale(sb.Path.through([[0.0, d]]), v, bounds)
+    timed = sb.time_scale(sb.Path.through([[0.0, d]]), v, bounds, tolerance=1e-4)
     expected = abs(d) / v + v / (2 * up) + v / (2 * down)
     assert timed.duration == pytest.approx(expected, rel=1e-4)
     assert timed.duration >= expected * (1 - 1e-12)
@@ -165,8 +165,7 @@ def test_pendulum_driven_up_under_gravity(load: float, kind: str) -> None:
     if load > 1:
         with pytest.raises(ValueError, match="rest"):
             timed.slower(1.5)
-        with pytest.raises(ValueError, match="rest"):
-            timed.to_trajectory(0.013)
+        assert timed.to_trajectory(0.013).times[-1] == timed.duration  # its last step is shorter
 
 
 def test_the_lowest_speed_that_carries_a_pendulum_over_its_load() -> None:
@@ -176,7 +175,7 @@ def test_the_lowest_speed_that_carries_a_pendulum_over_its_load() -> None:
     torque = load / 1.11
     angles = np.array([-np.pi / 2, np.pi / 2])
     path = sb.Path.through([angles], s=angles)
-    timed = sb.time_scale(path, torque=torque, inverse_dynamics=pendulum_torque)
+    timed = sb.time_scale(path, torque=torque, inverse_dynamics=pendulum_torque, tolerance=1e-5)
     easy = np.arccos(1 / 1.11)
     missing = load * (np.sin(easy) - np.sin(timed.s)) - torque * (easy - timed.s)
     square = np.where(timed.s < easy, 2 * np.maximum(missing, 0) / (m * length**2), 0)
@@ -459,10 +458,11 @@ def test_to_trajectory_ends_on_a_multiple_of_dt() -> None:
 
 def test_to_trajectory_keeps_given_end_speeds() -> None:
     timed = sb.time_scale(sb.Path.through([[0.0, 1.0]]), 1.0, 1.0, start_speed=0.5)
-    with pytest.raises(ValueError, match="speeds given"):
-        timed.to_trajectory(0.1)
-    trajectory = timed.to_trajectory(timed.duration / 20)
+    trajectory = timed.to_trajectory(0.1)
     assert trajectory.states[1, 0] == pytest.approx(0.5)
+    assert trajectory.times[:-1] == pytest.approx(0.1 * np.arange(17))
+    assert trajectory.times[-1] == timed.duration == pytest.approx(1.625)
+    assert trajectory.states[:, -1] == pytest.approx([1, 0], abs=1e-12)
 
 
 def test_a_corner_is_a_stop_and_a_pause_takes_no_time() -> None:
@@ -489,15 +489,9 @@ def test_a_reversal_does_not_cost_a_full_stop() -> None:
     assert timed.stops == ()
 
 
-def test_a_path_of_no_length_takes_no_time() -> None:
-    timed = sb.time_scale(sb.Path.through([[0.3, 0.3, 0.3], [1, 1, 1]]), 1.0, 1.0)
-    assert timed.duration == 0
-    assert timed.position(0.0) == pytest.approx([0.3, 1.0])
-    assert timed.velocity(0.0) == pytest.approx([0, 0])
-    assert timed.progress(0.0) == (0, 0, 0)
-    assert timed.controllable.shape == (2, 0)
-    assert timed.to_trajectory(0.1).states.shape == (4, 1)
-    assert [use.use for use in timed.audit()] == [0, 0, 0, 0]
+def test_a_path_that_does_not_move_is_refused() -> None:
+    with pytest.raises(ValueError, match="must move"):
+        sb.time_scale(sb.Path.through([[0.3, 0.3, 0.3], [1, 1, 1]]), 1.0, 1.0)
 
 
 def test_quintic_path() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.interpolate import BSpline, CubicSpline, PPoly
+from scipy.interpolate import CubicSpline, PPoly
 
 import statebook as sb
 
@@ -44,7 +44,6 @@ def test_waypoints(waypoints: Any, options: dict, error: type, message: str) -> 
     ("curve", "error", "message"),
     [
         (np.sin, TypeError, "PPoly"),
-        (BSpline(np.arange(8.0), np.ones((4, 1)), 3), TypeError, "PPoly"),
         (CubicSpline([0, 1, 2], [0, 1, 0]), ValueError, r"\(k, pieces, dof\)"),
         (PPoly(np.array([[[1.0], [1.0]], [[0.0], [5.0]]]), [0, 1, 2]), ValueError, "continuous"),
         (PPoly(np.full((2, 1, 1), np.nan), [0, 1]), ValueError, "finite"),
@@ -90,8 +89,8 @@ def test_the_path_is_what_scipy_says() -> None:
     ("limits", "message"),
     [
         ({"velocity": [[1, -1], [-1, 1]]}, "lower <= upper"),
-        ({"velocity": [[0.1, 1], [-1, 1]]}, "lower < 0 < upper"),
-        ({"acceleration": [[-1, 0], [-1, 1]]}, "lower < 0 < upper"),
+        ({"velocity": [[0.1, 1], [-1, 1]]}, "lower <= 0 <= upper"),
+        ({"acceleration": [[-1, -0.1], [-1, 1]]}, "lower <= 0 <= upper"),
         ({"velocity": 0}, "greater than 0"),
         ({"acceleration": -1}, "greater than 0"),
         ({"velocity": [1, 2, 3]}, r"shape \(2,\) or \(2, 2\)"),
@@ -129,8 +128,8 @@ def test_not_a_path(path: Any) -> None:
 @pytest.mark.parametrize(
     ("function", "message"),
     [
-        (lambda q, qd, qdd: qdd + 0.1 * qd, "quadratic in qd"),
-        (lambda q, qd, qdd: qdd + 0.1 * np.sign(qd), "quadratic in qd"),
+        (lambda q, qd, qdd: qdd + 0.1 * np.tanh(qd / 1e-3), "quadratic in qd"),
+        (lambda q, qd, qdd: qdd + 0.1 * np.exp(-(qd**2)) * np.sign(qd), "quadratic in qd"),
         (lambda q, qd, qdd: qdd + 0.1 * np.abs(qd) ** 3, "quadratic in qd"),
         (lambda q, qd, qdd: qdd**3, "affine in qdd"),
         (lambda q, qd, qdd: qdd * (1 + qd**2), "affine in qdd"),
@@ -142,16 +141,6 @@ def test_not_a_path(path: Any) -> None:
 def test_inverse_dynamics_of_another_form(function: Callable, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         sb.time_scale(LINE, torque=6.0, inverse_dynamics=function)
-
-
-@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
-def test_friction_is_found_at_every_scale(size: float) -> None:
-    """Beside a quadratic term a linear one shows at low speed only."""
-    path = sb.Path.through(size * np.array([[0.0, 1.0], [0.0, 2.0]]))
-    with pytest.raises(ValueError, match="quadratic in qd"):
-        sb.time_scale(
-            path, torque=1.0, inverse_dynamics=lambda q, qd, qdd: qdd + qd**2 / size + 1e-3 * qd
-        )
 
 
 def test_inverse_dynamics_that_is_no_function() -> None:
@@ -169,9 +158,10 @@ def test_times_outside_the_motion(t: Any) -> None:
 def test_rounding_at_the_ends_of_the_motion() -> None:
     timed = sb.time_scale(LINE, 1.0, 1.0)
     duration = timed.duration
-    beyond = np.array([-0.9e-9, 1 + 0.9e-9]) * duration
+    beyond = np.array([-0.9e-7, 1 + 0.9e-7]) * duration
     assert np.array_equal(timed.position(beyond), timed.position(np.array([0.0, duration])))
-    for t in (-1.1e-9 * duration, (1 + 1.1e-9) * duration):
+    assert np.array_equal(timed.position(np.float32(duration)), timed.position(duration))
+    for t in (-1.1e-7 * duration, (1 + 1.1e-7) * duration):
         with pytest.raises(ValueError, match="t must be"):
             timed.position(t)
 
@@ -288,13 +278,14 @@ def test_whatever_the_waypoints(points: list, kind: str, bc_type: str, exponent:
     waypoints = 10.0**exponent * np.array(points, dtype=float).T
     path = sb.Path.through(waypoints, kind=kind, bc_type=bc_type)
     v, a = 3.0, 0.7
+    if np.ptp(waypoints, axis=1).max() == 0:
+        with pytest.raises(ValueError, match="must move"):
+            sb.time_scale(path, v, a)
+        return
     timed = sb.time_scale(path, v, a)
     assert np.array_equal(timed.position(0.0), waypoints[:, 0])
     assert np.array_equal(timed.position(timed.duration), waypoints[:, -1])
-    if timed.duration > 0:
-        t = np.linspace(0, timed.duration, 2001)
-        assert np.abs(timed.velocity(t)).max() <= v * (1 + 1e-9)
-        assert np.abs(timed.acceleration(t)).max() <= a * (1 + 1e-9)
-        assert timed.audit().worst.use <= 1 + 1e-12
-    else:
-        assert np.ptp(waypoints, axis=1).max() == 0
+    t = np.linspace(0, timed.duration, 2001)
+    assert np.abs(timed.velocity(t)).max() <= v * (1 + 1e-9)
+    assert np.abs(timed.acceleration(t)).max() <= a * (1 + 1e-9)
+    assert timed.audit().worst.use <= 1 + 1e-12

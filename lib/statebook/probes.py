@@ -88,8 +88,8 @@ def takes_batches(
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
         try:
-            batch = np.asarray(function(*batches))
-            columns = [np.asarray(alone(*c)) for c in zip(*(b.T for b in batches), strict=True)]
+            batch = np.array(function(*batches))
+            columns = [np.array(alone(*c)) for c in zip(*(b.T for b in batches), strict=True)]
         except Exception:  # whatever a function does with an array it was not written for
             return False
     expected = np.stack(columns, axis=-1) if len({c.shape for c in columns}) == 1 else None

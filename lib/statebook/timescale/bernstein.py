@@ -106,3 +106,32 @@ def maxima(
         member, family = np.tile(member, 2), np.tile(family, 2)
         start = np.concatenate([start, start + width])
     return value, where, place
+
+
+def ratio_maxima(
+    numerators: np.ndarray, denominators: np.ndarray, sign: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Find the largest ratio of polynomials on [0, 1], as `maxima` does for polynomials.
+
+    The ratio is below r where numerator - r denominator < 0; from the place where this is largest
+    r rises to the ratio there, until nothing is left (Dinkelbach's algorithm).
+
+    Parameters
+    ----------
+    numerators, denominators : array, shape (degree + 1, N, R)
+        Bernstein coefficients; the denominators are positive.
+    sign : array, optional
+        As in `maxima`.
+    """
+    degree, rows = len(numerators) - 1, np.arange(numerators.shape[2])
+    ratio = np.zeros(len(rows))
+    value, member, place = maxima(numerators, sign)
+    for _ in range(_LEVELS):
+        basis = to_values(degree, place).T
+        at = [(basis * part[:, member, rows]).sum(axis=0) for part in (numerators, denominators)]
+        better = np.where(np.isfinite(value), at[0] / at[1], -np.inf)
+        if np.all(better <= ratio * (1 + _ROUNDING)):
+            break
+        ratio = np.maximum(ratio, better)
+        value, member, place = maxima(numerators - ratio * denominators, sign)
+    return ratio, member, place

@@ -9,14 +9,13 @@ from typing import NamedTuple
 import numpy as np
 
 from statebook.timescale.path import Path, horner
+from statebook.timescale.pieces import Pieces, smooth_pieces
 
-_CORNER = 1e-9  # a jump of p' by this part of its largest value is a corner
-_REST = 1e-11  # p' smaller than this part of its largest value is zero
-_ROUNDING = 1e-13  # a movement, or a highest coefficient, this part of its scale is none
+_FEWEST = 2  # intervals of a section that begins and ends at rest
 
 
 class Section(NamedTuple):
-    """Intervals first to last - 1, and s'^2 at both ends: None leaves it free."""
+    """Intervals first to last - 1, and the squared speed at both ends: None leaves it free."""
 
     first: int
     last: int
@@ -26,10 +25,9 @@ class Section(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Intervals [s, s + h] of the path, N of them, each within one piece of the curve."""
+    """Intervals [r, r + h] of the path, N of them, each within one of its pieces."""
 
-    coefficients: np.ndarray
-    knots: np.ndarray
+    pieces: Pieces
     piece: np.ndarray
     offset: np.ndarray
     h: np.ndarray
@@ -38,17 +36,44 @@ class Grid:
     @property
     def degree(self) -> int:
         """Degree of the path's pieces."""
-        return len(self.coefficients) - 1
+        return len(self.pieces.coefficients) - 1
+
+    @property
+    def stretch(self) -> np.ndarray:
+        """Rate dr/ds in the intervals, shape (N,)."""
+        return self.pieces.stretch[self.piece]
 
     @property
     def s(self) -> np.ndarray:
-        """Left ends of the intervals, shape (N,)."""
-        return self.knots[self.piece] + self.offset
+        """The path parameter at the left ends of the intervals, shape (N,)."""
+        return self.s_at(np.zeros(1))[0]
+
+    def s_at(self, z: np.ndarray) -> np.ndarray:
+        """Return the path parameter at fractions z (K,) of the intervals, shape (K, N)."""
+        offset = (self.offset + np.multiply.outer(z, self.h)) / self.stretch
+        return self.pieces.origin[self.piece] + offset
 
     def path(self, z: np.ndarray, derivative: int) -> np.ndarray:
-        """Return a derivative of p at fractions z (K,) of the intervals, shape (K, N, dof)."""
+        """Return a derivative of p(r) at fractions z (K,) of the intervals, shape (K, N, dof)."""
         offset = self.offset + np.multiply.outer(z, self.h)
-        return horner(self.coefficients, self.piece, offset, derivative)
+        return horner(self.pieces.coefficients, self.piece, offset, derivative)
+
+    def at(self, s: np.ndarray) -> Grid:
+        """Return intervals of no length at values s (M,) of the path parameter."""
+        origin = self.pieces.origin
+        piece = np.clip(np.searchsorted(origin, s, side="right") - 1, 0, len(origin) - 1)
+        offset = (s - origin[piece]) * self.pieces.stretch[piece]
+        return replace(self, piece=piece, offset=offset, h=np.zeros(len(s)), sections=())
+
+    def part(self, intervals: slice | np.ndarray) -> Grid:
+        """Return some of the intervals, without their sections."""
+        return replace(
+            self,
+            piece=self.piece[intervals],
+            offset=self.offset[intervals],
+            h=self.h[intervals],
+            sections=(),
+        )
 
     def split(self, counts: np.ndarray) -> tuple[Grid, np.ndarray, np.ndarray, np.ndarray]:
         """Cut interval i into counts[i] equal parts.
@@ -81,7 +106,12 @@ class Grid:
 
 
 def lay_grid(
-    path: Path, start_speed: float, end_speed: float, intervals: int
+    path: Path,
+    start_speed: float,
+    end_speed: float,
+    intervals: int,
+    cuts: np.ndarray | None = None,
+    halts: np.ndarray | None = None,
 ) -> tuple[Grid, tuple[float, ...], tuple[tuple[float, float], ...]]:
     """Find the sections of a path and cut them into about so many intervals.
 
@@ -90,69 +120,61 @@ def lay_grid(
     grid : Grid
         With no interval where nothing moves along the whole path.
     stops : tuple of float
-        Values of s inside the path where p' jumps, so that the motion must stop.
+        Values of s inside the path where its direction jumps or it halts, so that it must stop.
     skipped : tuple of (float, float)
         Intervals of s where nothing moves; they take no time.
     """
-    coefficients, knots = path.curve.c, path.curve.x
-    width = np.diff(knots)
-    pieces = np.arange(len(width))
-    sample = np.multiply.outer(np.linspace(0, 1, 2 * len(coefficients)), width)
-    slope = horner(coefficients, pieces, sample, 1)
-    largest = np.abs(slope).max(axis=(0, 1))
-    while len(coefficients) > 2 and np.all(
-        np.abs(coefficients[0]) * width[:, None] ** (len(coefficients) - 2) <= _ROUNDING * largest
-    ):
-        coefficients = coefficients[1:]  # a spline through points on a line, for instance
-    size = np.abs(coefficients[-1]).max(axis=0)
-    steps = np.abs(slope).max(axis=0) * width[:, None]
-    moving = (steps > _ROUNDING * size + _ROUNDING * largest * (knots[-1] - knots[0])).any(axis=1)
-    left, right = slope[0], slope[-1]
-    rest_left, rest_right = ((np.abs(v) <= _REST * largest).all(axis=1) for v in (left, right))
-    corner = (np.abs(right[:-1] - left[1:]) > _CORNER * largest).any(axis=1)
-
-    kept = np.flatnonzero(moving)
+    halts = np.zeros(0) if halts is None else halts
+    pieces = smooth_pieces(path, halts if cuts is None else np.concatenate([halts, cuts]))
+    kept = np.flatnonzero(pieces.moving)
+    if not len(kept):
+        raise ValueError("the path must move: all its points are the same, to within rounding")
     follows = kept[1:] == kept[:-1] + 1
-    smooth = follows & ~rest_right[kept[:-1]] & ~rest_left[kept[1:]]
-    smooth[smooth] = ~corner[kept[:-1][smooth]]
+    smooth = follows & pieces.smooth[kept[:-1]]
+    joints = pieces.origin[kept[1:], None]
+    smooth &= ~np.isclose(joints, halts, rtol=0, atol=1e-9 * pieces.width.sum()).any(axis=1)
     bounds = np.concatenate([[0], np.flatnonzero(~smooth) + 1, [len(kept)]])
-    sections = []
-    for first, last in pairwise(bounds):
-        if first < last:
-            start = None if rest_left[kept[first]] else 0.0
-            end = None if rest_right[kept[last - 1]] else 0.0
-            sections.append(Section(int(first), int(last), start, end))
-    _set_ends(path, sections, moving, start_speed, end_speed)
+    rest_left, rest_right = pieces.rest[:, kept]
+    sections = [
+        Section(
+            int(first),
+            int(last),
+            None if rest_left[first] else 0.0,
+            None if rest_right[last - 1] else 0.0,
+        )
+        for first, last in pairwise(bounds)
+    ]
+    _set_ends(pieces, sections, start_speed, end_speed)
+    calm = rest_right[:-1] & rest_left[1:]
+    stops = tuple(float(s) for s in pieces.origin[kept[1:][~smooth & ~calm]])
+    ends = np.append(pieces.origin[1:], path.s_end)
+    width = pieces.width[kept]
+    coarse = Grid(pieces, kept, np.zeros(len(kept)), width, tuple(sections))
+    counts = np.full(len(kept), max(1, -(-intervals // len(kept))))
+    for part in sections:
+        if part.start == 0 and part.end == 0 and part.last - part.first < _FEWEST:
+            counts[part.first : part.last] = np.maximum(counts[part.first], _FEWEST)
+    return coarse.split(counts)[0], stops, _runs(pieces.origin, ends, ~pieces.moving)
 
-    jumps = kept[1:][~smooth]  # sections begin at the left knots of these pieces
-    calm = rest_right[kept[:-1][~smooth]] & rest_left[jumps]
-    stops = tuple(float(s) for s in knots[jumps[~calm]])
-    coarse = Grid(coefficients, knots, kept, np.zeros(len(kept)), width[kept], tuple(sections))
-    parts = max(1, -(-intervals // max(len(kept), 1)))
-    return coarse.split(np.full(len(kept), parts))[0], stops, _runs(knots, ~moving)
 
-
-def _set_ends(
-    path: Path, sections: list[Section], moving: np.ndarray, start: float, end: float
-) -> None:
+def _set_ends(pieces: Pieces, sections: list[Section], start: float, end: float) -> None:
     """Put the speeds at the ends of the path into its first and last section."""
-    for name, speed, at_rest in (
-        ("start_speed", start, not moving[0]),
-        ("end_speed", end, not moving[-1]),
-    ):
-        if speed > 0 and at_rest:
+    for name, speed, piece in (("start_speed", start, 0), ("end_speed", end, -1)):
+        if speed > 0 and not pieces.moving[piece]:
             raise ValueError(
                 f"{name} must be 0 on a path that begins or ends without moving, got {speed:g}"
             )
     if start > 0:
-        sections[0] = sections[0]._replace(start=start**2)
+        sections[0] = sections[0]._replace(start=(start * pieces.stretch[0]) ** 2)
     if end > 0:
-        sections[-1] = sections[-1]._replace(end=end**2)
+        sections[-1] = sections[-1]._replace(end=(end * pieces.stretch[-1]) ** 2)
 
 
-def _runs(knots: np.ndarray, still: np.ndarray) -> tuple[tuple[float, float], ...]:
+def _runs(
+    left: np.ndarray, right: np.ndarray, still: np.ndarray
+) -> tuple[tuple[float, float], ...]:
     """Return the intervals of s covered by consecutive pieces."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(int), [0]])))
     return tuple(
-        (float(knots[a]), float(knots[b])) for a, b in zip(edges[::2], edges[1::2], strict=True)
+        (float(left[a]), float(right[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True)
     )

@@ -4,29 +4,55 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from statebook import _validate
-from statebook.timescale import bernstein
+from statebook.timescale.bounds import MISFIT, read_bounds
+from statebook.timescale.curves import on_grid
 from statebook.timescale.grid import Grid
+from statebook.timescale.path import Path
 
 Terms = tuple[np.ndarray | None, np.ndarray, np.ndarray | None]
-TORQUE_DEGREE = 6  # of the polynomials that stand for torques within an interval
-DENSE = 17  # points per interval at which torques are looked at
+SIDES = 32  # of the polygon in the half-disc of a norm
+_THIRDS = np.linspace(0, 1, 4)
+DENSE = 5  # points per interval at which torques are looked at
 
 
 @dataclass(frozen=True, eq=False)
 class Limit(ABC):
-    """Bounds on rows of one quantity: rows R, lower and upper of shape (R,)."""
+    """Bounds on rows of one quantity.
+
+    Attributes
+    ----------
+    kind : str
+        What is bounded, in the audit's words.
+    lower, upper : array, shape (R,)
+        The bounds; where they vary along the path, the widest.
+    along : scipy.interpolate.PPoly, optional
+        The bounds as functions of s, 2 R columns, where they vary.
+    curve : scipy.interpolate.PPoly, optional
+        The motion that is bounded where it is not that of the joints: that of a tool.
+    slip : array, shape (2, R), optional
+        Error of that curve's first and second derivative.
+    margin : float
+        Part of the bounds left to that error.
+    loss : float
+        Part of the duration that inner approximations of this limit may cost.
+    """
 
     kind: str
     lower: np.ndarray
     upper: np.ndarray
+    along: Any = field(default=None, kw_only=True)
+    curve: Any = field(default=None, kw_only=True)
+    slip: np.ndarray | None = field(default=None, kw_only=True)
+    margin: float = field(default=0.0, kw_only=True)
+    loss: float = field(default=0.0, kw_only=True)
 
     squared = False
+    norm = False
 
     @property
     def scale(self) -> np.ndarray:
@@ -35,9 +61,37 @@ class Limit(ABC):
         size = np.where(np.isfinite(bounds), bounds, 0.0).max(axis=0)
         return np.where(size > 0, size, 1.0)
 
-    @abstractmethod
     def degree(self, grid: Grid) -> int:
         """Degree along an interval where s'^2 is a quadratic in s."""
+        degree = grid.degree if self.curve is None else len(self.curve.c) - 1
+        along = 0 if self.along is None else len(self.along.c) - 1
+        return max(degree, along) * (2 if self.squared else 1)
+
+    @property
+    def blur(self) -> float:
+        """Part of the duration between what the rows allow and what is known to be impossible."""
+        return 2 * self.margin + self.norm * (1 - float(np.cos(np.pi / (2 * SIDES)))) / 2
+
+    def motion(self, grid: Grid, z: np.ndarray, derivative: int) -> np.ndarray:
+        """Return a derivative with respect to s of what moves, (K, N, R)."""
+        if self.curve is None:
+            return grid.path(z, derivative)
+        return on_grid(self.curve, grid, z, derivative)
+
+    def bounds(self, grid: Grid, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the bounds at fractions z of the intervals, (R,) or (K, N, R)."""
+        if self.along is None:
+            return self.lower, self.upper
+        values = on_grid(self.along, grid, z, 0)
+        lower, upper = np.split(values, 2, axis=2)
+        return (
+            np.where(np.isfinite(self.lower), lower, -np.inf),
+            np.where(np.isfinite(self.upper), upper, np.inf),
+        )
+
+    def room(self, grid: Grid) -> np.ndarray | float:
+        """Return the part of the bounds that the rows leave to errors, (1, N, R) or a number."""
+        return self.margin
 
     @abstractmethod
     def terms(self, grid: Grid, z: np.ndarray, speed: np.ndarray) -> Terms:
@@ -48,7 +102,7 @@ class Limit(ABC):
 
     def name(self, row: int, side: str) -> str:
         """Name one bound for a message."""
-        return f"{self.kind} of joint {row}, {side} limit"
+        return f"{self.kind} of {'joint' if self.curve is None else 'axis'} {row}, {side} limit"
 
     def values(self, grid: Grid, z: np.ndarray, u: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Return the quantity for given s'' and s'^2, (K, N) each, as (K, N, R)."""
@@ -63,11 +117,33 @@ class Limit(ABC):
 
         Of a range that does not enclose 0 it is 1 plus the excess in units of the scale.
         """
-        value = self.values(grid, z, u, x)
-        around = (self.lower < 0) & (self.upper > 0)
-        upper, lower = np.where(around, self.upper, 1.0), np.where(around, self.lower, -1.0)
-        beyond = np.maximum(value - self.upper, self.lower - value) / self.scale
+        return self.part_used(self.values(grid, z, u, x), grid, z)
+
+    def audited_use(self, grid: Grid, z: np.ndarray, u: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Return the same for the audit: from the caller's own function where there is one."""
+        return self.use(grid, z, u, x)
+
+    def part_used(self, value: np.ndarray, grid: Grid, z: np.ndarray) -> np.ndarray:
+        """Return the part of the bounds that values (K, N, R) of the quantity use."""
+        lowest, highest = self.bounds(grid, z)
+        around = (lowest < 0) & (highest > 0)
+        upper, lower = np.where(around, highest, 1.0), np.where(around, lowest, -1.0)
+        beyond = np.maximum(value - highest, lowest - value) / self.scale
         return np.where(around, np.maximum(value / upper, value / lower), 1 + beyond)
+
+    def uncertainty(
+        self, grid: Grid, z: np.ndarray, u: np.ndarray, x: np.ndarray
+    ) -> np.ndarray | float:
+        """Return the part of the bounds by which a fitted motion may be off, (R,)."""
+        if self.slip is None:
+            return 0.0
+        first, second = self.slip
+        lower, upper = self.bounds(grid, z)
+        if self.squared:
+            off = first * np.sqrt(x)[:, :, None]
+        else:
+            off = first * np.abs(u)[:, :, None] + second * x[:, :, None]
+        return np.asarray((off / np.minimum(upper, -lower)).max(axis=(0, 1)))
 
     def follow(
         self, grid: Grid, z: np.ndarray, u: np.ndarray, x: np.ndarray
@@ -93,61 +169,115 @@ class Limit(ABC):
         interval = np.arange(x.shape[1])
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             if a is None:
-                bound = np.broadcast_to(self.squared_bounds(grid.path(z, 1)), b.shape[1:])
-                use = np.sqrt(b[1] * x[1, :, None] / bound)
+                bound = np.broadcast_to(self.squared_bounds(grid, z), b.shape)
+                use = np.sqrt(b[1] * x[1, :, None] / bound[1])
                 row = use.argmax(axis=1)
-                wanted = bound[interval, row] / b[:, interval, row]
+                wanted = bound[:, interval, row] / b[:, interval, row]
                 return use[interval, row], 2 * (wanted[0] + wanted[2]) - 4 * wanted[1]
             c = np.zeros_like(b) if c is None else c
             value = a[1] * u[1, :, None] + b[1] * x[1, :, None] + c[1]
-            over, under = (value - self.upper) / self.scale, (self.lower - value) / self.scale
+            lower, upper = (np.broadcast_to(bound, b.shape) for bound in self.bounds(grid, z))
+            over, under = (value - upper[1]) / self.scale, (lower[1] - value) / self.scale
             row = np.maximum(over, under).argmax(axis=1)
             over, under = over[interval, row], under[interval, row]
-            bound = np.where(over >= under, self.upper[row], self.lower[row])
-            a, b, c = (term[:, interval, row] for term in (a, b, c))
+            a, b, c, lower, upper = (term[:, interval, row] for term in (a, b, c, lower, upper))
+            bound = np.where(over >= under, upper, lower)
             wanted = (bound - b * x - c) / a
             wanted[:, a[0] * a[2] < 1e-3 * a[1] ** 2] = np.nan  # s'' does not decide there
             return 1 + np.maximum(over, under), grid.h * (wanted[2] - wanted[0])
 
-    def squared_bounds(self, slope: np.ndarray) -> np.ndarray:
-        """Return the bound on a square where p' has values or Bernstein coefficients slope.
+    def squared_bounds(
+        self, grid: Grid, z: np.ndarray, transform: Callable[..., Any] = np.asarray
+    ) -> np.ndarray:
+        """Return the bounds on a square at fractions z of the intervals.
 
-        slope is (K, N, dof); the result broadcasts to (N, R).
+        They broadcast to (K, N, R). Given a transform to Bernstein coefficients they are these.
         """
-        return self.upper**2
+        upper = self.bounds(grid, z)[1] ** 2
+        return upper if upper.ndim == 1 else np.asarray(transform(upper))
 
 
 class AccelerationLimit(Limit):
-    """Joint accelerations p' u + p'' x."""
-
-    def degree(self, grid: Grid) -> int:
-        return grid.degree
+    """Accelerations p' u + p'' x."""
 
     def terms(self, grid: Grid, z: np.ndarray, speed: np.ndarray) -> Terms:
-        return grid.path(z, 1), grid.path(z, 2), None
+        return self.motion(grid, z, 1), self.motion(grid, z, 2), None
+
+
+class AccelerationNormLimit(AccelerationLimit):
+    """Euclidean norm of the acceleration: the terms are its components, the bound is one.
+
+    |v w + q x| <= r is a half-disc where x >= 0, cut down to an inscribed polygon.
+    """
+
+    norm = True
+
+    def use(self, grid: Grid, z: np.ndarray, u: np.ndarray, x: np.ndarray) -> np.ndarray:
+        size = np.linalg.norm(self.values(grid, z, u, x), axis=2, keepdims=True)
+        return np.asarray(size / self.bounds(grid, z)[1])
+
+    def name(self, row: int, side: str) -> str:
+        return self.kind
+
+    def follow(
+        self, grid: Grid, z: np.ndarray, u: np.ndarray, x: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        a, b, _ = self.terms(grid, z, x.max(axis=0))
+        bound = np.broadcast_to(self.bounds(grid, z)[1], (*x.shape, 1))[:, :, 0]
+        b = b * x[:, :, None]
+        square, half, rest = ((v * w).sum(axis=2) for v, w in ((a, a), (a, b), (b, b)))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            root = np.sqrt(half**2 + square * (bound**2 - rest))
+            along = square * u + half
+            wanted = (np.where(along[1] >= 0, root, -root) - half) / square
+            use = self.use(grid, z, u, x)[1, :, 0]
+        return use, grid.h * (wanted[2] - wanted[0])
+
+
+def polygon(w: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return rows whose largest value is at least |w ŵ + x x̂| cos(pi / (2 SIDES)), x̂ >= 0.
+
+    Parameters
+    ----------
+    w, x : array, shape (..., m)
+        Vectors that belong to the two unknowns; they span a plane.
+
+    Returns
+    -------
+    w, x : array, shape (..., SIDES)
+    """
+    length = np.linalg.norm(w, axis=-1, keepdims=True)
+    direction = np.divide(w, length, out=np.zeros_like(w), where=length > 0)
+    along = (direction * x).sum(axis=-1, keepdims=True)
+    across = np.linalg.norm(x - along * direction, axis=-1, keepdims=True)
+    angle = np.pi * (np.arange(SIDES) + 0.5) / SIDES
+    return length * np.cos(angle), along * np.cos(angle) + across * np.sin(angle)
 
 
 class VelocityLimit(Limit):
-    """Squares of joint velocities p'^2 x; the sign of p' chooses the bound."""
+    """Squares of velocities p'^2 x; the sign of p' chooses the bound."""
 
     squared = True
 
-    def degree(self, grid: Grid) -> int:
-        return 2 * grid.degree
-
     def terms(self, grid: Grid, z: np.ndarray, speed: np.ndarray) -> Terms:
-        return None, grid.path(z, 1) ** 2, None
+        return None, self.motion(grid, z, 1) ** 2, None
 
-    def squared_bounds(self, slope: np.ndarray) -> np.ndarray:
-        upper, lower = self.upper**2, self.lower**2
+    def squared_bounds(
+        self, grid: Grid, z: np.ndarray, transform: Callable[..., Any] = np.asarray
+    ) -> np.ndarray:
+        lower, upper = (bound**2 for bound in self.bounds(grid, z))
+        if upper.ndim > 1:
+            lower, upper = transform(lower), transform(upper)
         if np.array_equal(upper, lower):
-            return upper
+            return np.asarray(upper)
+        slope = transform(self.motion(grid, z, 1))
         forward, backward = (slope >= 0).all(axis=0), (slope <= 0).all(axis=0)
         return np.where(forward, upper, np.where(backward, lower, np.minimum(upper, lower)))
 
     def use(self, grid: Grid, z: np.ndarray, u: np.ndarray, x: np.ndarray) -> np.ndarray:
-        value = grid.path(z, 1) * np.sqrt(x)[:, :, None]
-        return np.maximum(value / self.upper, value / self.lower)
+        value = self.motion(grid, z, 1) * np.sqrt(x)[:, :, None]
+        lower, upper = self.bounds(grid, z)
+        return np.maximum(value / upper, value / lower)
 
 
 class SpeedLimit(Limit):
@@ -155,111 +285,110 @@ class SpeedLimit(Limit):
 
     squared = True
 
-    def degree(self, grid: Grid) -> int:
-        return 2 * grid.degree
-
     def terms(self, grid: Grid, z: np.ndarray, speed: np.ndarray) -> Terms:
-        return None, (grid.path(z, 1) ** 2).sum(axis=2, keepdims=True), None
+        return None, (self.motion(grid, z, 1) ** 2).sum(axis=2, keepdims=True), None
 
     def use(self, grid: Grid, z: np.ndarray, u: np.ndarray, x: np.ndarray) -> np.ndarray:
-        return np.sqrt(self.values(grid, z, u, x)) / self.upper
+        return np.sqrt(self.values(grid, z, u, x)) / self.bounds(grid, z)[1]
 
     def name(self, row: int, side: str) -> str:
-        return "speed"
+        return self.kind
 
 
 @dataclass(frozen=True, eq=False)
 class TorqueLimit(Limit):
-    """Rows of an inverse dynamics, tau = a u + b x + c along the path."""
+    """Rows of an inverse dynamics, tau = a u + b x + c + k + d sqrt(x) along the path.
 
-    dynamics: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+    Attributes
+    ----------
+    dynamics : callable or None
+        (dof, N) each to (rows, N); for the audit.
+    fitted : scipy.interpolate.PPoly
+        a, b, c, k and d as functions of s, 5 R columns.
+    friction : (bool, bool)
+        Whether there is dry friction k, and viscous friction d.
+    sliding : bool
+        Whether dry friction counts.
+    lines : callable, optional
+        Grid to alpha, beta, distance (N,): the line in x that stands for sqrt(x).
+    """
+
+    dynamics: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None
+    fitted: Any
+    friction: tuple[bool, bool] = (False, False)
+    sliding: bool = True
+    lines: Callable[[Grid], tuple[np.ndarray, ...]] | None = None
 
     def degree(self, grid: Grid) -> int:
-        return TORQUE_DEGREE
+        return len(self.fitted.c) + 1
+
+    def parts(self, grid: Grid, z: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return a, b, c, k and d at fractions z of the intervals, each (K, N, R)."""
+        a, b, c, k, d = np.split(on_grid(self.fitted, grid, z, 0), 5, axis=2)
+        rate = 1 / grid.stretch[:, None]
+        return a * rate, b * rate**2, c, k, d * rate
+
+    def actual(self, grid: Grid, z: np.ndarray, u: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Return the torques that the caller's function gives, (K, N, R)."""
+        if self.dynamics is None or not self.sliding:
+            return self.values(grid, z, u, x)
+        p, p1, p2 = (grid.path(z, i) for i in range(3))
+        slope = _one_sided(p1, grid.path(np.array([0.5]), 1)[0]) if any(self.friction) else p1
+        u, x = u[:, :, None], x[:, :, None]
+        motion = p, slope * np.sqrt(x), p1 * u + p2 * x
+        q, v, a = (np.moveaxis(y, -1, 0).reshape(p.shape[2], -1) for y in motion)
+        return np.moveaxis(self.dynamics(q, v, a).reshape(-1, *p.shape[:2]), 0, -1)
+
+    def audited_use(self, grid: Grid, z: np.ndarray, u: np.ndarray, x: np.ndarray) -> np.ndarray:
+        return self.part_used(self.actual(grid, z, u, x), grid, z)
 
     def terms(self, grid: Grid, z: np.ndarray, speed: np.ndarray) -> Terms:
-        p, p1, p2 = (grid.path(z, i) for i in range(3))
-        shape = p.shape[:2]
-        x = np.broadcast_to(np.where(speed > 0, speed, 1.0)[:, None], (*shape, 1))
-        q, v, a, b = (
-            np.moveaxis(y, -1, 0).reshape(p.shape[2], -1)
-            for y in (p, p1 * np.sqrt(x), p1 * x, p2 * x)
-        )
-        still = np.zeros_like(q)
-        c = self.dynamics(q, still, still)
-        rows = (self.dynamics(q, still, a) - c, self.dynamics(q, v, b) - c, c)
-        inertial, centrifugal, static = (
-            np.moveaxis(tau.reshape(-1, *shape), 0, -1) for tau in rows
-        )
-        return inertial / x, centrifugal / x, static
+        a, b, c, k, d = self.parts(grid, z)
+        if self.sliding:
+            c = c + k
+        if self.lines is not None:
+            alpha, beta, _ = (line[:, None] for line in self.lines(grid))
+            b, c = b + d * beta, c + d * alpha
+        return a, b, c
+
+    def room(self, grid: Grid) -> np.ndarray | float:
+        if self.lines is None:
+            return self.margin
+        drag = np.abs(self.parts(grid, _THIRDS)[4]).max(axis=0, keepdims=True)
+        return np.asarray(drag / self.scale * self.lines(grid)[2][:, None] + self.margin)
+
+    def values(self, grid: Grid, z: np.ndarray, u: np.ndarray, x: np.ndarray) -> np.ndarray:
+        a, b, c, k, d = self.parts(grid, z)
+        u, x = u[:, :, None], x[:, :, None]
+        return a * u + b * x + c + (k if self.sliding else 0.0) + d * np.sqrt(x)
 
     def name(self, row: int, side: str) -> str:
-        return f"torque of row {row}, {side} limit"
-
-    def misfit(self, grid: Grid, u: Callable[..., Any], x: Callable[..., Any]) -> np.ndarray:
-        """Return the part of the bounds by which polynomials miss the torques, (N,).
-
-        u and x give s'' and s'^2, (K, N), at fractions z (K,) of the intervals.
-        """
-        nodes, dense = bernstein.nodes(TORQUE_DEGREE), np.linspace(0, 1, DENSE)
-        known, actual = (self.values(grid, z, u(z), x(z)) for z in (nodes, dense))
-        between = bernstein.to_values(TORQUE_DEGREE, dense) @ bernstein.from_values(TORQUE_DEGREE)
-        off = np.abs(bernstein.along(between, known) - actual) / self.scale
-        return np.asarray(off.max(axis=(0, 2)))
+        return f"{self.kind} of row {row}, {side} limit"
 
 
-def bounds(name: str, value: Any, rows: int) -> tuple[np.ndarray, np.ndarray]:
-    """Read a limit given as a number, (rows,) or (rows, 2); infinity means none.
-
-    A number or a vector of magnitudes stands for -value and value.
-    """
-    given = np.asarray(value)
-    if given.dtype.kind not in "iuf":
-        raise TypeError(f"{name} must be made of real numbers, got {value!r}")
-    if given.shape not in ((), (rows,), (rows, 2)):
-        raise ValueError(
-            f"{name} must be a number, or have shape ({rows},) or ({rows}, 2), got {given.shape}"
-        )
-    given = given.astype(float)
-    if np.isnan(given).any():
-        raise ValueError(f"{name} must not be NaN, got {value!r}")
-    if given.ndim == 2:
-        lower, upper = given[:, 0].copy(), given[:, 1].copy()
-        if np.any(lower > upper):
-            row = int(np.flatnonzero(lower > upper)[0])
-            raise ValueError(
-                f"{name} must have lower <= upper, got ({lower[row]:g}, {upper[row]:g}) for "
-                f"joint {row}"
-            )
-        return lower, upper
-    upper = np.broadcast_to(given, rows).copy()
-    if np.any(upper <= 0):
-        raise ValueError(f"{name} must be greater than 0, or pairs (lower, upper), got {value!r}")
-    return -upper, upper
-
-
-def joint_bounds(name: str, value: Any, dof: int) -> tuple[np.ndarray, np.ndarray]:
-    """Read a velocity or acceleration limit: the bounds must enclose 0."""
-    lower, upper = bounds(name, value, dof)
-    bad = np.flatnonzero((lower >= 0) | (upper <= 0))
-    if len(bad):
-        j = int(bad[0])
-        raise ValueError(
-            f"{name} must have lower < 0 < upper, or no motion can begin and end; got "
-            f"({lower[j]:g}, {upper[j]:g}) for joint {j}"
-        )
-    return lower, upper
-
-
-def kinematic_limits(velocity: Any, acceleration: Any, speed: Any, dof: int) -> list[Limit]:
-    """Read the limits that need no dynamics."""
+def kinematic_limits(
+    velocity: Any, acceleration: Any, speed: Any, path: Path, acceleration_norm: Any = None
+) -> list[Limit]:
+    """Read the limits of joints that need no dynamics."""
     limits: list[Limit] = []
-    if velocity is not None:
-        limits.append(VelocityLimit("velocity", *joint_bounds("velocity", velocity, dof)))
-    if acceleration is not None:
-        pair = joint_bounds("acceleration", acceleration, dof)
-        limits.append(AccelerationLimit("acceleration", *pair))
-    if speed is not None:
-        bound = np.array([_validate.positive("speed", speed)])
-        limits.append(SpeedLimit("speed", -bound, bound))
+    for name, value, rows, limit, kind in (
+        ("velocity", velocity, path.dof, VelocityLimit, "velocity"),
+        ("acceleration", acceleration, path.dof, AccelerationLimit, "acceleration"),
+        ("speed", speed, 1, SpeedLimit, "speed"),
+        ("acceleration_norm", acceleration_norm, 1, AccelerationNormLimit, "norm of acceleration"),
+    ):
+        if value is not None:
+            lower, upper, along = read_bounds(name, value, rows, path)
+            loss = MISFIT if callable(value) else 0.0
+            limits.append(limit(kind, lower, upper, along=along, loss=loss))
     return limits
+
+
+def _one_sided(slope: np.ndarray, middle: np.ndarray) -> np.ndarray:
+    """Return slopes (K, N, dof) with the signs they have inside their intervals; rounding is 0.
+
+    middle (N, dof) is the slope there; no joint turns back inside.
+    """
+    largest = np.abs(slope).max(axis=(0, 1))
+    sign = np.where(np.abs(slope).max(axis=0) > 1e-13 * largest, np.sign(middle), 0.0)
+    return sign * np.maximum(sign * slope, 1e-12 * largest)

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import cmath
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
+from typing import Any, TypeVar
 
 import numpy as np
 
 from statebook.timescale import bernstein
 from statebook.timescale.grid import Grid
 from statebook.timescale.limits import DENSE, Limit, TorqueLimit, VelocityLimit
+
+Kind = TypeVar("Kind", bound="Profile")
+Warp = Callable[[np.ndarray], np.ndarray]
 
 
 def travel_time(h: np.ndarray, x0: np.ndarray, x1: np.ndarray, bulge: np.ndarray) -> np.ndarray:
@@ -43,6 +48,18 @@ def _quotient(value: np.ndarray, argument: np.ndarray) -> np.ndarray:
     return np.divide(value, argument, out=np.ones_like(argument), where=argument > 0)
 
 
+def _advance(lib: Any, x0: Any, u0: Any, rate: Any, t: Any) -> tuple[Any, Any, Any]:
+    """Return s, s' and s'' after a time t from s = 0, s'^2 = x0, s'' = u0; s'' = u0 + rate s.
+
+    With complex numbers the exponentials of rate > 0 and the sines of rate < 0 are one formula.
+    """
+    half = lib.sqrt(rate + 0j) * (t / 2) + 1e-300
+    cosh, sinc = lib.cosh(half).real, (lib.sinh(half) / half).real * (t / 2)
+    v0 = lib.sqrt(x0).real
+    s = 2 * sinc * (v0 * cosh + u0 * sinc)
+    return s, v0 * (cosh**2 + rate * sinc**2) + 2 * u0 * sinc * cosh, u0 + rate * s
+
+
 @dataclass(frozen=True, eq=False)
 class Profile:
     """s'^2 at the ends of each interval of a grid, and the shape in between.
@@ -63,10 +80,14 @@ class Profile:
         return self.curvature * (self.x0 + self.x1) / 2
 
     @cached_property
+    def steps(self) -> np.ndarray:
+        """Time each interval takes, shape (N,)."""
+        return travel_time(self.grid.h, self.x0, self.x1, self.bulge)
+
+    @cached_property
     def times(self) -> np.ndarray:
         """Time at the ends of the intervals, shape (N + 1,)."""
-        steps = travel_time(self.grid.h, self.x0, self.x1, self.bulge)
-        return np.concatenate([[0.0], np.cumsum(steps)])
+        return np.concatenate([[0.0], np.cumsum(self.steps)])
 
     @property
     def duration(self) -> float:
@@ -82,37 +103,65 @@ class Profile:
         """Return s'' at fractions z (K,) of the intervals, shape (K, N)."""
         return (self.x1 - self.x0 - self.bulge * (1 - 2 * z[:, None])) / (2 * self.grid.h)
 
-    def time_at(self, interval: int, z: float) -> float:
-        """Return the time at a fraction of an interval."""
-        if z == 0:
-            return float(self.times[interval])
-        x = self.x(np.array([z]))[0, interval]
-        bulge = self.bulge[interval] * z * z
-        step = travel_time(z * self.grid.h[interval], self.x0[interval], x, bulge)
-        return float(self.times[interval] + step)
+    def time_at(self, interval: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """Return the times at fractions z (M,) of intervals (M,)."""
+        x0, x1, bulge = self.x0[interval], self.x1[interval], self.bulge[interval]
+        x = np.maximum(x0 * (1 - z) + x1 * z - bulge * z * (1 - z), 0.0)
+        inside = z > 0
+        x0, x = np.where(inside, x0, 1.0), np.where(inside, x, 1.0)
+        step = travel_time(z * self.grid.h[interval], x0, x, bulge * z * z)
+        return np.asarray(self.times[interval] + step)
+
+    def where(self, interval: int, z: float) -> tuple[float, float]:
+        """Return the time and the path parameter at a fraction of an interval."""
+        time = self.time_at(np.array([interval]), np.array([z]))[0]
+        return float(time), float(self.grid.s_at(np.array([z]))[0, interval])
 
     def locate(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return the interval, s minus its left end, s' and s'' at times t (M,)."""
         i = np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, len(self.x0) - 1)
-        t = t - self.times[i]
-        h, v0 = self.grid.h[i], np.sqrt(self.x0[i])
-        u0 = (self.x1 - self.x0 - self.bulge)[i] / (2 * h)
-        rate = self.bulge[i] / h**2
-        omega = np.sqrt(np.abs(rate))
-        half = omega * t / 2
-        up = rate > 0
-        sinh = np.where(up, np.sinh(np.where(up, half, 0.0)), np.sin(half))
-        cosh = np.where(up, np.cosh(np.where(up, half, 0.0)), np.cos(half))
-        sinc = _quotient(sinh, half) * t / 2
-        ds = np.clip(2 * sinc * (v0 * cosh + u0 * sinc), 0.0, h)
-        speed = v0 * (cosh**2 + rate * sinc**2) + 2 * u0 * sinc * cosh
-        return i, ds, np.maximum(speed, 0.0), u0 + rate * ds
+        ds, speed, u = _advance(np, self.x0[i], self._first_u[i], self._rate[i], t - self.times[i])
+        return i, np.clip(ds, 0.0, self.grid.h[i]), np.maximum(speed, 0.0), u
 
-    def slower(self, factor: float) -> Profile:
+    def locate_one(self, t: float) -> tuple[int, float, float, float]:
+        """Return the same for a single time, without the cost of arrays."""
+        i = min(max(int(self.times.searchsorted(t, side="right")) - 1, 0), len(self.x0) - 1)
+        start = (self.x0[i], self._first_u[i], self._rate[i], t - self.times[i])
+        ds, speed, u = _advance(cmath, *(float(value) for value in start))
+        return i, min(max(ds, 0.0), float(self.grid.h[i])), max(speed, 0.0), u
+
+    @cached_property
+    def _first_u(self) -> np.ndarray:
+        """The rate s'' at the left ends of the intervals."""
+        return (self.x1 - self.x0 - self.bulge) / (2 * self.grid.h)
+
+    @cached_property
+    def _rate(self) -> np.ndarray:
+        """Slope ds''/ds in the intervals."""
+        return self.bulge / self.grid.h**2
+
+    def third(self, i: Any, ds: Any, speed: Any) -> np.ndarray:
+        """Return s''' in intervals i (M,), with what `locate` returns."""
+        return np.asarray(self._rate[i] * speed)
+
+    def parts(self) -> list[tuple[Profile, np.ndarray, Warp, int]]:
+        """Return the profile in parts in which limits are polynomials.
+
+        Of each part: the profile, the intervals it consists of, the function of [0, 1] that gives
+        the fraction z of an interval, and by how much it multiplies the degree.
+        """
+        return [(self, np.arange(len(self.x0)), lambda y: y, 1)]
+
+    def further_uses(self) -> list[Use]:
+        """Return the largest uses of limits that are not bounds on s'' and s'^2."""
+        return []
+
+    def slower(self: Kind, factor: float) -> Kind:
         """Return the profile of the same motion that takes factor times as long."""
         return replace(self, x0=self.x0 / factor**2, x1=self.x1 / factor**2)
 
 
+_HIGHEST = 30  # degree of polynomials in powers of time whose coefficients are not rounding
 _SAME = 1e-6  # uses that differ by less are the same use
 
 
@@ -123,9 +172,10 @@ class Use:
     Attributes
     ----------
     limit : str
-        "velocity", "acceleration", "speed" or "torque".
+        "velocity", "acceleration", "speed", "norm of acceleration", "torque", or one of the
+        first four with "tool" before it.
     row : int
-        Joint, or row of the torques.
+        Joint, axis of the tool, or row of the torques.
     use : float
         The quantity over its bound at the worst instant: at most 1 if the limit holds. Of a
         torque range that does not enclose 0: 1 plus the excess over the larger bound.
@@ -133,7 +183,9 @@ class Use:
         When and where, the first time.
     exact : bool
         True if it is the maximum over all time to rounding; False for torques, which are looked
-        at on 17 points of each interval.
+        at on 5 points of each interval.
+        With a jerk limit also False for limits of high degree, as of a tool, which are looked at
+        so in the intervals next to rests.
     """
 
     limit: str
@@ -142,6 +194,12 @@ class Use:
     time: float
     s: float
     exact: bool
+
+    @property
+    def factor(self) -> float:
+        """How much longer a uniformly slower motion takes that just keeps the limit."""
+        powers = {"acceleration": 1 / 2, "torque": 1 / 2, "jerk": 1 / 3}
+        return float(self.use ** powers.get(self.limit.split()[-1], 1.0))
 
 
 @dataclass(frozen=True)
@@ -168,10 +226,10 @@ class Audit:
         return len(self.uses)
 
     def __repr__(self) -> str:
-        lines = ["limit         row    use       time         s"]
+        lines = ["limit                 row    use       time         s"]
         for u in self.uses:
             lines.append(
-                f"{u.limit:<12}{u.row:>5}{u.use + 0.0:>7.4f}{u.time + 0.0:>11.4g}{u.s + 0.0:>10.4g}"
+                f"{u.limit:<20}{u.row:>5}{u.use + 0.0:>7.4f}{u.time + 0.0:>11.4g}{u.s + 0.0:>10.4g}"
             )
         return "\n".join(lines)
 
@@ -185,57 +243,65 @@ def audit(profile: Profile, limits: Sequence[Limit]) -> Audit:
     """
     uses: list[Use] = []
     for limit in limits:
-        exact = limit.kind != "torque"
-        z = bernstein.nodes(limit.degree(profile.grid)) if exact else np.linspace(0, 1, DENSE)
-        sampled = limit.use(profile.grid, z, profile.u(z), profile.x(z))
-        highest, places = _maxima(profile, limit, z) if exact else (sampled.max(axis=(0, 1)), [])
-        for row, use in enumerate(highest):
+        exact = not isinstance(limit, TorqueLimit)
+        found, sure = [], exact
+        for part, index, warp, order in profile.parts():
+            degree = limit.degree(part.grid) * (2 if limit.norm else 1) * order
+            known = exact and (order == 1 or degree <= _HIGHEST)
+            sure &= known
+            y = bernstein.nodes(degree) if known else np.linspace(0, 1, DENSE)
+            z = warp(y)
+            u, x = part.u(z), part.x(z)
+            sampled = limit.audited_use(part.grid, z, u, x)
+            highest, places = _maxima(part, limit, y, warp) if known else (sampled.max((0, 1)), [])
+            highest = highest + limit.uncertainty(part.grid, z, u, x)
+            found.append((sampled, highest, places, index, z))
+        for row in range(len(found[0][1])):
+            use = max(highest[row] for _, highest, _, _, _ in found)
             # Limits are reached again and again: name the first time, whatever the rounding.
-            reached = sampled[:, :, row] >= use - _SAME * abs(use)
-            if reached.any():
-                i = int(reached.any(axis=0).argmax())
-                fraction = float(z[reached[:, i].argmax()])
-            else:
-                i, fraction = places[row]
-            uses.append(
-                Use(
-                    limit=limit.kind,
-                    row=row,
-                    use=float(use),
-                    time=profile.time_at(i, fraction),
-                    s=float(profile.grid.s[i] + fraction * profile.grid.h[i]),
-                    exact=exact,
-                )
-            )
-    return Audit(tuple(uses))
+            first = []
+            for sampled, highest, places, index, z in found:
+                reached = sampled[:, :, row] >= use - _SAME * abs(use)
+                if reached.any():
+                    i = int(reached.any(axis=0).argmax())
+                    place = int(index[i]), float(z[reached[:, i].argmax()])
+                elif highest[row] == use:
+                    place = int(index[places[row][0]]), places[row][1]
+                else:
+                    continue
+                first.append((*profile.where(*place), use))
+            time, s, _ = min(first)
+            uses.append(Use(limit.kind, row, float(use), time, s, sure))
+    return Audit(tuple(uses + profile.further_uses()))
 
 
 def _maxima(
-    profile: Profile, limit: Limit, z: np.ndarray
+    profile: Profile, limit: Limit, y: np.ndarray, warp: Warp
 ) -> tuple[np.ndarray, list[tuple[int, float]]]:
     """Return the largest use of each row, and the interval and the fraction of it where it is."""
-    to_bernstein = bernstein.from_values(len(z) - 1)
+    transform, z = partial(bernstein.along, bernstein.from_values(len(y) - 1)), warp(y)
     values = limit.values(profile.grid, z, profile.u(z), profile.x(z))
-    coefficients = bernstein.along(to_bernstein, values)
-    sides: list[tuple[np.ndarray, np.ndarray | None]]
-    if isinstance(limit, VelocityLimit) and not np.array_equal(limit.upper, -limit.lower):
-        slope = bernstein.along(to_bernstein, profile.grid.path(z, 1))
-        sides = [(limit.upper**2, slope), (limit.lower**2, -slope)]
-    elif limit.squared:
-        sides = [(limit.upper**2, None)]
+    lower, upper = limit.bounds(profile.grid, z)
+    if limit.norm:
+        values = (values**2).sum(axis=2, keepdims=True)
+    coefficients = transform(values)
+    sides: list[tuple[np.ndarray, np.ndarray, np.ndarray | None]]
+    if isinstance(limit, VelocityLimit) and not np.array_equal(upper, -lower):
+        slope = transform(limit.motion(profile.grid, z, 1))
+        sides = [(coefficients, upper**2, slope), (coefficients, lower**2, -slope)]
+    elif limit.squared or limit.norm:
+        sides = [(coefficients, upper**2, None)]
     else:
-        sides = [(limit.upper, None), (limit.lower, None)]
-    found = [bernstein.maxima(coefficients / bound, sign) for bound, sign in sides]
+        sides = [(coefficients, upper, None), (-coefficients, -lower, None)]
+    found = [
+        bernstein.maxima(part / bound, sign)
+        if bound.ndim == 1
+        else bernstein.ratio_maxima(part, transform(np.minimum(bound, 1e300)), sign)
+        for part, bound, sign in sides
+    ]
     use, interval, fraction = (np.stack(values) for values in zip(*found, strict=True))
     side, rows = use.argmax(axis=0), np.arange(use.shape[1])
     highest = np.maximum(use[side, rows], 0.0)
-    places = list(zip(interval[side, rows].tolist(), fraction[side, rows].tolist(), strict=True))
-    return (np.sqrt(highest) if limit.squared else highest), places
-
-
-def static_torques_hold(profile: Profile, limits: Sequence[Limit]) -> bool:
-    """Whether the load of the robot at rest is within the torque limits all along the path."""
-    z = np.linspace(0, 1, DENSE)
-    rest = np.zeros((DENSE, len(profile.x0)))
-    torques = [limit for limit in limits if isinstance(limit, TorqueLimit)]
-    return all(float(limit.use(profile.grid, z, rest, rest).max()) <= 1.0 for limit in torques)
+    fractions = warp(fraction[side, rows]).tolist()
+    places = list(zip(interval[side, rows].tolist(), fractions, strict=True))
+    return (np.sqrt(highest) if limit.squared or limit.norm else highest), places

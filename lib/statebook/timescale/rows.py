@@ -10,21 +10,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from statebook.timescale import bernstein
 from statebook.timescale.grid import Grid
-from statebook.timescale.limits import Limit
+from statebook.timescale.limits import SIDES, Limit, polygon
 
 MARGIN = 1e-9  # of every limit, left to rounding
 FREE = 1e6  # bound on s'^2, in units of the scale, where nothing else binds it
 
 
+_BLOCK = 1000  # intervals at a time
+
+
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Inequalities w ŵ + x x̂ + c <= 0 of each interval, (N, M); labels name the columns.
+    """Inequalities w ŵ + x x̂ + c <= 0 of each interval, (N, M); labels[which] name them.
 
     x̂ is s'^2 at the left end in units of the scale, x̂ + step ŵ at the right end.
     """
@@ -33,61 +37,87 @@ class Rows:
     w: np.ndarray
     x: np.ndarray
     c: np.ndarray
+    which: np.ndarray
     labels: tuple[tuple[Limit, int, str], ...]
 
 
 def stage_rows(
-    limits: Sequence[Limit],
-    grid: Grid,
-    curvature: np.ndarray,
-    scale: np.ndarray,
-    sketch: bool = False,
+    limits: Sequence[Limit], grid: Grid, curvature: np.ndarray, scale: np.ndarray, top: np.ndarray
 ) -> Rows:
     """Return the inequalities of all intervals, each of unit gradient.
 
-    For a sketch they are those of speeds at the ends of the intervals and of the other limits
-    in the middle: nearly right, and not on the safe side.
+    Those that hold for every s'^2 below top, (2, N) at the ends of the intervals, are left out;
+    for want of another in their place they say 0 <= 1.
     """
+    parts: list[Rows] = []
+    for first in range(0, len(grid.h), _BLOCK):
+        block = slice(first, first + _BLOCK)
+        args = curvature[block], scale[block], top[:, block] / scale[block]
+        parts.append(_block_rows(limits, grid.part(block), *args))
+    columns = max(part.w.shape[1] for part in parts)
+    padded = [
+        [
+            np.pad(m, [(0, 0), (0, columns - m.shape[1])], constant_values=value)
+            for m, value in ((part.w, 0.0), (part.x, 0.0), (part.c, -1.0), (part.which, 0))
+        ]
+        for part in parts
+    ]
+    w, x, c, which = (np.concatenate(m) for m in zip(*padded, strict=True))
+    return Rows(np.concatenate([part.step for part in parts]), w, x, c, which, parts[0].labels)
+
+
+def _block_rows(
+    limits: Sequence[Limit], grid: Grid, curvature: np.ndarray, scale: np.ndarray, top: np.ndarray
+) -> Rows:
     ws, xs, cs, labels = [], [], [], []
     for limit in limits:
-        degree = int(limit.squared) if sketch else limit.degree(grid)
+        degree = limit.degree(grid)
         z = bernstein.nodes(degree)
         to_bernstein = bernstein.from_values(degree)
         a, b, c = limit.terms(grid, z, scale)
-        z = z[:, None]
+        fraction = z[:, None]
         rho = curvature / 2
         # x(z) = scale (x x̂ + w ŵ) and s'' = scale (dx x̂ + dw ŵ)/(2 h), coefficients by z:
-        w = b * (scale * (z - rho * z * (1 - z)))[:, :, None]
-        x = b * (scale * (1 - 2 * rho * z * (1 - z)))[:, :, None]
+        w = b * (scale * (fraction - rho * fraction * (1 - fraction)))[:, :, None]
+        x = b * (scale * (1 - 2 * rho * fraction * (1 - fraction)))[:, :, None]
         if a is not None:
             rate = scale / (2 * grid.h)
-            w += a * (rate * (1 - rho * (1 - 2 * z)))[:, :, None]
-            x += a * (rate * (-2 * rho * (1 - 2 * z)))[:, :, None]
+            w += a * (rate * (1 - rho * (1 - 2 * fraction)))[:, :, None]
+            x += a * (rate * (-2 * rho * (1 - 2 * fraction)))[:, :, None]
         w, x = bernstein.along(to_bernstein, w), bernstein.along(to_bernstein, x)
+        transform = partial(bernstein.along, to_bernstein)
+        labelled = range(w.shape[2])
         if limit.squared:
-            slope = bernstein.along(
-                bernstein.from_values(degree), grid.path(bernstein.nodes(degree), 1)
-            )
-            sides = [("upper", 1 / limit.squared_bounds(slope), np.full_like(w, -1.0))]
-        elif c is None:
-            sides = [
-                ("upper", 1 / limit.upper, np.full_like(w, -1.0)),
-                ("lower", 1 / limit.lower, np.full_like(w, -1.0)),
-            ]
+            bounds = [("upper", 1.0, limit.squared_bounds(grid, z, transform))]
         else:
-            c = bernstein.along(to_bernstein, c)
-            sides = [
-                (side, sign / limit.scale, sign * (c - bound) / limit.scale)
-                for side, sign, bound in (("upper", 1, limit.upper), ("lower", -1, limit.lower))
-            ]
-        for side, factor, constant in sides:
-            ws.append(_by_interval(w * factor))
-            xs.append(_by_interval(x * factor))
-            cs.append(_by_interval(constant))
-            labels += [(limit, row, side) for _ in range(len(w)) for row in range(w.shape[2])]
-    return _normalized(
-        np.concatenate(ws, 1), np.concatenate(xs, 1), np.concatenate(cs, 1) + MARGIN, labels
-    )
+            lower, upper = limit.bounds(grid, z)
+            if upper.ndim > 1:
+                lower, upper = transform(lower), transform(upper)
+            bounds = [("upper", 1.0, upper), ("lower", -1.0, lower)]
+        if limit.norm:
+            w, x = polygon(w, x)
+            bounds = [("upper", 1.0, upper * np.cos(np.pi / (2 * SIDES)))]
+            labelled = [0] * SIDES
+        room = limit.room(grid)
+        for side, sign, bound in bounds:
+            size = limit.scale
+            if c is None:
+                size = np.abs(bound).max(axis=0) if bound.ndim == 3 else np.abs(bound)
+            level = 0.0 if c is None else transform(c)
+            with np.errstate(invalid="ignore"):
+                constant = sign * (level - bound) / size
+            constant = np.where(np.isnan(constant), -1.0, constant) + room
+            ws.append(_by_interval(w * (sign / size)))
+            xs.append(_by_interval(x * (sign / size)))
+            cs.append(_by_interval(np.broadcast_to(constant, w.shape)))
+            labels += [(limit, row, side) for _ in range(len(w)) for row in labelled]
+    w, x, c = np.concatenate(ws, 1), np.concatenate(xs, 1), np.concatenate(cs, 1) + MARGIN
+    left, right = top[:, :, None]
+    idle = np.maximum(x - w, 0) * left + np.maximum(w, 0) * right <= -c
+    count = int((~idle).sum(axis=1).max(initial=1))
+    which = np.argsort(idle, axis=1, kind="stable")[:, :count]
+    w, x, c, idle = (np.take_along_axis(m, which, 1) for m in (w, x, c, idle))
+    return _normalized(w, x, c, idle, which, labels)
 
 
 def _by_interval(values: np.ndarray) -> np.ndarray:
@@ -95,16 +125,21 @@ def _by_interval(values: np.ndarray) -> np.ndarray:
     return values.transpose(1, 0, 2).reshape(values.shape[1], -1)
 
 
-def _normalized(w: np.ndarray, x: np.ndarray, c: np.ndarray, labels: list[Any]) -> Rows:
+def _normalized(
+    w: np.ndarray,
+    x: np.ndarray,
+    c: np.ndarray,
+    idle: np.ndarray,
+    which: np.ndarray,
+    labels: list[Any],
+) -> Rows:
     """Balance both unknowns, and scale rows to unit gradient, as the solver's tolerance needs.
 
-    A row that no motion in reach can violate says 0 <= 1. Steps are powers of two, for the solver
-    adds them up and takes differences again.
+    Steps are powers of two, for the solver adds them up and takes differences again.
     """
     c = np.maximum(c, -1e100)  # an infinite bound
-    idle = np.hypot(w, x) * FREE < -c
     with np.errstate(divide="ignore", invalid="ignore"):
-        reach = np.where(w == 0, np.inf, (np.abs(x) + np.abs(c)) / np.abs(w)).min(axis=1)
+        reach = np.where(idle | (w == 0), np.inf, (np.abs(x) + np.abs(c)) / np.abs(w)).min(axis=1)
         step = np.exp2(np.clip(np.round(np.log2(reach)), -20, 0))
     w = w * step[:, None]
     size = np.hypot(w, x)
@@ -112,4 +147,4 @@ def _normalized(w: np.ndarray, x: np.ndarray, c: np.ndarray, labels: list[Any]) 
     factor[idle] = 0.0
     c = c * factor
     c[idle] = -1.0
-    return Rows(step, w * factor, x * factor, c, tuple(labels))
+    return Rows(step, w * factor, x * factor, c, which, tuple(labels))

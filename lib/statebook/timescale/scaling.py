@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,17 +13,26 @@ import scipy
 
 from statebook import _validate
 from statebook.errors import InfeasiblePathError
-from statebook.timescale.grid import lay_grid
-from statebook.timescale.limits import DENSE, Limit, TorqueLimit, kinematic_limits
+from statebook.timescale.bounds import require_joints
+from statebook.timescale.ceiling import ceiling
+from statebook.timescale.ends import Pauses, read_dwell, speed_at_end, take
+from statebook.timescale.friction import at_rest, rests, reversals, settle
+from statebook.timescale.grid import Grid, lay_grid
+from statebook.timescale.jerk import read_jerk, stop_at_bends
+from statebook.timescale.jerk_program import limit_jerk
+from statebook.timescale.limits import Limit, TorqueLimit, kinematic_limits
 from statebook.timescale.path import Path
 from statebook.timescale.profile import Profile, audit
 from statebook.timescale.rows import MARGIN
 from statebook.timescale.solve import PASSES, fastest, solve
 from statebook.timescale.stages import StuckError
 from statebook.timescale.timed_path import TimedPath
+from statebook.timescale.tool import tool_limits
 from statebook.timescale.torques import torque_limit
 
 _COARSE = 48  # intervals of the first grid
+_ENDS = np.array([0.0, 1.0])
+_SMALL = 1e-9  # part of a scale that counts as 0
 _ROUNDING = 1e-12  # of the audit; a motion that it slows down is then inside the limits
 
 
@@ -29,11 +41,20 @@ def time_scale(
     velocity: Any = None,
     acceleration: Any = None,
     *,
-    speed: float | None = None,
+    speed: Any = None,
+    acceleration_norm: Any = None,
+    jerk: Any = None,
     torque: Any = None,
     inverse_dynamics: Any = None,
+    tool_speed: Any = None,
+    tool_acceleration: Any = None,
+    forward_kinematics: Any = None,
     start_speed: float = 0.0,
     end_speed: float = 0.0,
+    start_velocity: Any = None,
+    end_velocity: Any = None,
+    duration: float | None = None,
+    dwell: Any = None,
     tolerance: float = 1e-3,
 ) -> TimedPath:
     """Time a path as fast as limits allow, inside them always.
@@ -45,23 +66,43 @@ def time_scale(
     Parameters
     ----------
     path : Path
-        Where p' jumps the motion stops (`TimedPath.stops`); pieces along which nothing moves are
-        skipped (`TimedPath.skipped`); a path of no length takes no time.
-    velocity, acceleration : float > 0 or array, shape (dof,) or (dof, 2), optional
-        Bounds on each joint, one number for plus and minus or pairs (lower, upper) around 0;
-        infinity stands for no bound.
-    speed : float > 0, optional
-        Bound on the Euclidean norm of the velocity.
-    torque : float > 0 or array, shape (rows,) or (rows, 2), optional
-        Bounds on the rows of the inverse dynamics.
+        Where its direction jumps the motion stops (`TimedPath.stops`); pieces along which nothing
+        moves are skipped (`TimedPath.skipped`).
+    velocity, acceleration : float > 0, array or callable, optional
+        Bounds on each joint: one number for plus and minus; shape (dof,), or (dof, 2) for pairs
+        (lower, upper) around 0; (dof, N) or (dof, 2, N) at each of N waypoints, linear in s
+        between them; or a function of s that returns one of the first three. Infinity stands for
+        no bound. A function is looked at in 64 pieces of the path; it may jump.
+    speed, acceleration_norm : float > 0, array, shape (N,), or callable, optional
+        Bound on the Euclidean norm of the velocity, and of the acceleration.
+    jerk : float > 0 or array, shape (dof,) or (dof, 2), optional
+        Bounds on q''' of each joint, one number for plus and minus or pairs (lower, upper) around
+        0. Accelerations are then continuous, and 0 at rest; where p'' jumps the motion stops too.
+        Where a speed is given for an end the acceleration there is free. The motion is one that
+        no small change makes faster, and its gap an estimate.
+    torque : float > 0, array or callable, optional
+        Bounds on the rows of the inverse dynamics, given like those of joints; they need not
+        enclose 0.
     inverse_dynamics : callable, optional
         (q, qd, qdd) -> (rows,) or (rows, N): any number of rows, affine in qdd, quadratic in qd,
         without a jump along the path.
+    tool_speed, tool_acceleration : float > 0, array or callable, optional
+        Bounds on the motion of the tool: a number, or (N,) at the waypoints, on the Euclidean
+        norm; shape (m,), (m, 2), (m, N) or (m, 2, N) on each axis.
+    forward_kinematics : callable
+        q -> (m,) or (m, N), the tool's position, smooth along the path.
     start_speed, end_speed : float >= 0
         ds/dt at the ends. Where p' = 0 at an end the robot is at rest whatever s' is: there the
         default 0 leaves s' free.
+    start_velocity, end_velocity : array, shape (dof,), optional
+        Velocities of the joints at the ends instead: along the path, as it takes no others.
+    duration : float > 0, optional
+        Time the motion is to take, pauses included, in place of the shortest one.
+    dwell : array, shape (N,), or mapping, optional
+        How long the motion rests at each of N waypoints, or {index of waypoint: time} [s].
     tolerance : float > 0
-        Part of the duration by which the optimum may be missed, as estimated by refinement.
+        Part of the duration by which the optimum may be missed. Where it cannot be met within
+        some seconds, a warning says what was reached (`TimedPath.gap`).
 
     Returns
     -------
@@ -88,16 +129,22 @@ def time_scale(
     """
     if not isinstance(path, Path):
         raise TypeError(f"path must be a Path; make one with Path.through, got {path!r}")
-    limits = kinematic_limits(velocity, acceleration, speed, path.dof)
+    for name, value in (("velocity", velocity), ("acceleration", acceleration)):
+        require_joints(name, value, path)
+    limits = kinematic_limits(velocity, acceleration, speed, path, acceleration_norm)
+    limits += tool_limits(path, tool_speed, tool_acceleration, forward_kinematics)
     if (torque is None) != (inverse_dynamics is None):
         raise ValueError("torque and inverse_dynamics must be given together")
-    start_speed = _validate.non_negative("start_speed", start_speed)
-    end_speed = _validate.non_negative("end_speed", end_speed)
+    start_speed = speed_at_end(path, "start", start_speed, start_velocity)
+    end_speed = speed_at_end(path, "end", end_speed, end_velocity)
+    pauses = read_dwell(path, dwell, start_speed, end_speed)
+    if duration is not None:
+        duration = _validate.positive("duration", duration)
     tolerance = _validate.positive("tolerance", tolerance)
     if torque is not None:
         limits.append(torque_limit(path, torque, inverse_dynamics))
     if not any(
-        limit.kind in ("acceleration", "torque")
+        limit.kind.endswith(("acceleration", "torque"))
         and np.isfinite(np.concatenate([limit.lower, limit.upper])).any()
         for limit in limits
     ):
@@ -105,60 +152,127 @@ def time_scale(
             "give an acceleration or a torque limit: without one nothing bounds the acceleration, "
             "and the fastest motion starts with a jump"
         )
-    _check_speed(path, limits, path.s_start, "start_speed", start_speed)
-    _check_speed(path, limits, path.s_end, "end_speed", end_speed)
-    grid, stops, skipped = lay_grid(path, start_speed, end_speed, _COARSE)
-    if not grid.sections:
-        empty = Profile(grid, *(np.zeros(0),) * 3, np.zeros((2, 0, 2)))
-        return TimedPath(path, stops, skipped, 0.0, empty, tuple(limits))
+    cuts = [curve.x for limit in limits for curve in (limit.along, limit.curve) if curve]
+    cuts += [limit.fitted.x for limit in limits if isinstance(limit, TorqueLimit)]
+    halts = path.waypoint_s[pauses > 0]
+    dry = [one for one in limits if isinstance(one, TorqueLimit) and one.friction[0]]
+    if dry:
+        cuts.append(reversals(path))
+    laid = partial(lay_grid, path, start_speed, end_speed, _COARSE, halts=halts)
+    grid, stops, skipped = laid(cuts=np.concatenate([[], *cuts]))
+    if dry:
+        windows = rests(grid)
+        limits += [at_rest(one, path, windows) for one in dry]
+        grid, _, _ = laid(cuts=np.concatenate([*cuts, windows.ravel()]))
+    limits = [_without_zeros(limit, grid) for limit in limits]
+    places = [("start_speed", path.s_start, start_speed), ("end_speed", path.s_end, end_speed)]
+    for name, s, given in places:
+        if given > 0:
+            _check_place(grid, limits, s, f"{name} = {given:g}", given)
+    for s in halts:
+        _check_place(grid, limits, float(s), "a dwell", 0.0)
+    if jerk is not None:
+        bounds = read_jerk(jerk, path, grid)
+        grid, bends = stop_at_bends(grid)
+        stops = tuple(sorted((*stops, *bends)))
     try:
-        profile, gap = fastest(limits, grid, tolerance)
+        enough = max(tolerance, *(1.5 * limit.blur for limit in limits))
+        limits, profile, least = settle(limits, partial(fastest, grid=grid, tolerance=enough))
+        least *= 1 - max(limit.loss for limit in limits)
         profile = _within_limits(limits, profile)
+        if jerk is not None:
+            profile, least = limit_jerk(limits, bounds, profile, tolerance)
     except StuckError as stuck:
         raise explain(stuck) from None
-    return TimedPath(path, stops, skipped, gap, profile, tuple(limits))
+    gap = max(1 - least / profile.duration, 0.0)
+    if gap > tolerance:
+        most = "about" if jerk is not None else "at most"
+        warnings.warn(
+            f"tolerance = {tolerance:g} could not be met on this path: the motion found takes "
+            f"{most} {gap:.2g} of its duration more than the fastest one (the gap)",
+            stacklevel=2,
+        )
+    if duration is not None:
+        profile = take(limits, profile, duration, float(pauses.sum()), path.s_end)
+        gap = max(1 - least / profile.duration, 0.0)
+    timed = TimedPath(path, stops, skipped, gap, profile, tuple(limits))
+    begin = np.atleast_1d(timed.time_at(halts))
+    return replace(timed, _pauses=Pauses(begin, pauses[pauses > 0]))
 
 
-def _check_speed(path: Path, limits: Sequence[Limit], s: float, name: str, speed: float) -> None:
-    """Refuse a speed at an end of the path that exceeds a velocity limit there."""
-    velocity = path(s, 1) * speed
-    norm = np.array([np.linalg.norm(velocity)])
+def _without_zeros(limit: Limit, grid: Grid) -> Limit:
+    """Refuse bounds of 0 on what must not be 0; elsewhere put rounding in their place."""
+    zero = np.stack([limit.lower == 0, limit.upper == 0])
+    if limit.kind not in ("velocity", "acceleration") or not zero.any():
+        return limit
+    left, right = (slope / np.maximum(np.abs(slope).max(), 1e-300) for slope in grid.path(_ENDS, 1))
+    moves = [(left, range(len(left))), (right, range(len(right)))]
+    if limit.kind == "acceleration":  # only at the ends of sections must its sign be that of p'
+        moves = [
+            (left, [part.first for part in grid.sections if part.start == 0]),
+            (-right, [part.last - 1 for part in grid.sections if part.end == 0]),
+        ]
+    for slope, intervals in moves:
+        for side, sign, none in (("upper", 1, zero[1]), ("lower", -1, zero[0])):
+            bad = [
+                (i, j) for i in intervals for j in np.flatnonzero(none & (sign * slope[i] > _SMALL))
+            ]
+            if bad:
+                i, j = bad[0]
+                s = float(grid.s[i])
+                raise InfeasiblePathError(
+                    f"the path cannot be driven within the limits: the {limit.name(j, side)} is 0, "
+                    f"and near s = {s:.6g} the joint must go beyond it",
+                    constraint=limit.name(j, side),
+                    s=s,
+                )
+    tiny = _SMALL * limit.scale
+    return replace(
+        limit,
+        lower=np.where(zero[0], -tiny, limit.lower),
+        upper=np.where(zero[1], tiny, limit.upper),
+    )
+
+
+def _check_place(grid: Grid, limits: Sequence[Limit], s: float, cause: str, speed: float) -> None:
+    """Refuse a given speed that exceeds a velocity limit, or a rest that exceeds a torque limit."""
+    grid, middle = grid.at(np.array([s])), np.zeros(1)
+    x = ((speed * grid.stretch) ** 2)[None]
     for limit in limits:
-        if limit.squared:
-            value = velocity if limit.kind == "velocity" else norm
-            use = np.maximum(value / limit.upper, value / limit.lower)
+        if limit.squared or (speed == 0 and isinstance(limit, TorqueLimit)):
+            use = limit.use(grid, middle, np.zeros_like(x), x)[0, 0]
             row = int(use.argmax())
             if use[row] > 1 + MARGIN:
-                side = "upper" if value[row] > 0 else "lower"
+                value = limit.values(grid, middle, np.zeros_like(x), x)[0, 0, row]
+                if limit.squared:
+                    value = limit.motion(grid, middle, 1)[0, 0, row]
+                name = limit.name(row, "upper" if value > 0 else "lower")
                 raise InfeasiblePathError(
-                    f"{name} = {speed:g} must keep the limits: it uses {use[row]:.4g} times the "
-                    f"{limit.name(row, side)} at s = {s:g}",
-                    constraint=limit.name(row, side),
+                    f"{cause} must keep the limits: it uses {use[row]:.4g} times the {name} at "
+                    f"s = {s:g}",
+                    constraint=name,
                     s=s,
                 )
 
 
 def _within_limits(limits: Sequence[Limit], profile: Profile) -> Profile:
-    """Audit the profile; slow it down by the rounding that is left, split it for torques."""
+    """Audit the profile; slow it down by the rounding that is left, leave more room for torques."""
     torques = [limit for limit in limits if isinstance(limit, TorqueLimit)]
     if not torques:
-        factor = max(
-            use.use if use.limit != "acceleration" else np.sqrt(use.use)
-            for use in audit(profile, limits)
-        )
+        factor = max(use.factor for use in audit(profile, limits))
         return profile.slower(factor * (1 + _ROUNDING)) if factor > 1 else profile
-    for _ in range(PASSES):
-        if audit(profile, limits).worst.use <= 1 + MARGIN:
+    for attempt in range(PASSES):
+        excess = audit(profile, limits).worst.use - 1
+        if excess <= MARGIN:
             return profile
-        z = np.linspace(0, 1, DENSE)
-        use = np.max(
-            [t.use(profile.grid, z, profile.u(z), profile.x(z)).max(axis=(0, 2)) for t in torques],
-            axis=0,
-        )
-        grid, parent, _, _ = profile.grid.split(np.where(use > 1, 2, 1))
-        scale = profile.controllable[1, parent, 0]
-        curvature = profile.curvature[parent] * (grid.h / profile.grid.h[parent]) ** 2
-        profile = solve(limits, grid, curvature, scale, sketch=False)
+        if attempt:  # the polynomials miss the torques by more than was seen
+            limits = [
+                replace(one, margin=one.margin + 2 * excess) if one in torques else one
+                for one in limits
+            ]
+            torques = [limit for limit in limits if isinstance(limit, TorqueLimit)]
+        grid = profile.grid
+        profile = solve(limits, grid, profile.curvature, ceiling(limits, grid).x)
     worst = audit(profile, limits).worst
     raise InfeasiblePathError(
         f"the {worst.limit} of row {worst.row} could not be kept within its limit at s = "
@@ -168,9 +282,6 @@ def _within_limits(limits: Sequence[Limit], profile: Profile) -> Profile:
     )
 
 
-_JUMP = 1e-2  # part of a torque limit that is too much for the finest grids
-
-
 def explain(stuck: StuckError) -> InfeasiblePathError:
     """Return the error that names the limit that cannot be met.
 
@@ -178,9 +289,6 @@ def explain(stuck: StuckError) -> InfeasiblePathError:
     can be; the one with the largest multiplier is named.
     """
     grid, rows, i = stuck.grid, stuck.rows, stuck.interval
-
-    def at_rest(z: np.ndarray) -> np.ndarray:
-        return np.zeros((len(z), len(grid.h)))  # s'' and s'^2
 
     w, x, c = rows.w[i], rows.x[i], rows.c[i]
     low, high = stuck.following
@@ -195,15 +303,10 @@ def explain(stuck: StuckError) -> InfeasiblePathError:
     )
     weights = -np.asarray(result.ineqlin.marginals)[:count]
     worst = int(np.argmax(weights))
-    limit, row, side = rows.labels[worst]
+    limit, row, side = rows.labels[rows.which[i, worst]]
     name = limit.name(row, side)
     s = float(grid.s[i])
     advice = "Raise that limit, or change the path or the speeds at its ends"
-    if isinstance(limit, TorqueLimit) and limit.misfit(grid, at_rest, at_rest)[i] > _JUMP:
-        advice = (
-            "The torque of the robot at rest jumps there, or changes too fast: make it smooth, or "
-            "time the path in two parts"
-        )
     if stuck.x is None:
         reason = "no speed there lets the rest of the path be driven"
     else:

@@ -6,51 +6,52 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from statebook.timescale.ceiling import ceiling
 from statebook.timescale.grid import Grid
-from statebook.timescale.limits import Limit, TorqueLimit
+from statebook.timescale.limits import Limit
 from statebook.timescale.profile import Profile
-from statebook.timescale.rows import MARGIN
-from statebook.timescale.stages import StuckError, fastest_profile
+from statebook.timescale.rows import FREE
+from statebook.timescale.stages import NARROWING, StuckError, fastest_profile
 
 _LOOK = np.array([0.02, 0.25, 0.5, 0.75, 0.98])  # where in an interval slack is looked for
 _ENDS = np.array([0.0, 0.5, 1.0])
 _ACTIVE = 0.7  # a limit used this much is taken for the one the profile follows
 _PARTS = 4  # an interval is split into at most so many
-_MISFIT = 1e-3  # part of a torque limit by which polynomials may miss the torque
 
 
 def refine(
-    limits: Sequence[Limit], profile: Profile, tolerance: float
-) -> tuple[Grid, np.ndarray, np.ndarray]:
-    """Split the intervals where time is lost, and those in which torques change too fast.
+    limits: Sequence[Limit], profile: Profile, stuck: bool = False
+) -> tuple[Grid, np.ndarray]:
+    """Split the intervals where time is lost.
 
     On the fastest motion some limit is reached at every instant: time is lost where none is.
+
+    Parameters
+    ----------
+    limits : sequence of Limit
+    profile : Profile
+    stuck : bool
+        Whether no motion was found on the grid: then all intervals are split.
 
     Returns
     -------
     grid : Grid
     curvature : array, shape (N,)
         Of the profile in each new interval, as in `Profile`.
-    scale : array, shape (N,)
-        Size of s'^2.
     """
     x, u = profile.x(_LOOK), profile.u(_LOOK)
     use = np.max([limit.use(profile.grid, _LOOK, u, x).max(axis=2) for limit in limits], axis=0)
     lost = np.diff(profile.times) * np.clip(1 - use, 0, 1).mean(axis=0)
-    allowed = tolerance * profile.duration / len(lost)
-    parts = np.clip(np.ceil(np.sqrt(lost / allowed)), 1, _PARTS).astype(int)
+    allowed = max(float(lost.sum()), 1e-12 * profile.duration) / (_GAIN * len(lost))
+    parts = np.clip(np.ceil(np.sqrt(lost / allowed)), 1 + stuck, _PARTS).astype(int)
     parts[_bottlenecks(profile)] = _PARTS
-    for limit in limits:
-        if isinstance(limit, TorqueLimit):
-            parts[limit.misfit(profile.grid, profile.u, profile.x) > _MISFIT] = _PARTS
     grid, parent, left, right = profile.grid.split(parts)
     z = left + np.multiply.outer(_ENDS, right - left)
     bulge, chord = profile.bulge[parent], (profile.x1 - profile.x0)[parent]
     x = np.maximum(profile.x0[parent] + chord * z - bulge * z * (1 - z), 0.0)
     u = (chord - bulge * (1 - 2 * z)) / (2 * profile.grid.h[parent])
     mean = np.maximum((x[0] + x[2]) / 2, 1e-300)
-    curvature = np.clip(_bulge(limits, profile, grid, parent, u, x) / mean, -1.0, 1.0)
-    return grid, curvature, profile.controllable[1, parent, 0]
+    return grid, np.clip(_bulge(limits, profile, grid, parent, u, x) / mean, -1.0, 1.0)
 
 
 def _bottlenecks(profile: Profile) -> np.ndarray:
@@ -99,9 +100,8 @@ def _slopes(profile: Profile) -> tuple[np.ndarray, np.ndarray]:
     At the ends of a section both are the one there is; 0 if there is none.
     """
     grid = profile.grid
-    middle = grid.s + grid.h / 2
     u = (profile.x1 - profile.x0) / (2 * grid.h)
-    slope = np.diff(u) / np.diff(middle)
+    slope = np.diff(u) / ((grid.h[1:] + grid.h[:-1]) / 2)
     before, after = np.append(0.0, slope), np.append(slope, 0.0)
     for part in grid.sections:
         if part.last - part.first == 1:
@@ -112,108 +112,93 @@ def _slopes(profile: Profile) -> tuple[np.ndarray, np.ndarray]:
     return before, after
 
 
-PASSES = 8
-_INTERVALS = 20000  # no grid is refined beyond this
-_LARGEST_MARGIN = 1e-5  # by which controllable sets are narrowed against rounding
-_SEARCH = 3000  # intervals of the finest grid on which a first solution is looked for
-_CONVERGENCE = 3.0  # a refinement divides the gap to the optimum by at least 1 + this
+PASSES = 8  # of splitting for torques
+_GAIN = 4.0  # a refinement divides the time lost by about so much
+_WORK = 4e6  # intervals times rows that are solved in all, at most
+_OVERHEAD = 40  # of an interval, in rows
+_LARGEST_NARROWING = 1e-5  # of controllable sets against rounding
+_RANGE = 1e3  # of s'^2 in an interval, beyond which its smaller end gives the scale
+_SEARCH = 6000  # intervals of the finest grid on which a first solution is looked for
 
 
 def fastest(limits: Sequence[Limit], grid: Grid, tolerance: float) -> tuple[Profile, float]:
-    """Solve and refine until the gap to the optimum is below the tolerance, by estimate."""
-    profile, safe = _started(limits, grid)
-    gap = np.inf
-    for _ in range(PASSES):
-        before, was_safe = profile.duration, safe
-        profile, safe = _solved(limits, *refine(limits, profile, tolerance))
-        if safe and was_safe:
-            gap = abs(before - profile.duration) / profile.duration / _CONVERGENCE
-            if gap <= tolerance or len(profile.x0) > _INTERVALS:
-                return profile, float(gap)
-    if not safe:
-        fastest_profile(limits, profile.grid, profile.curvature, profile.controllable[1, :, 0])
-    return profile, float(gap)
+    """Solve and refine until the duration is near the least one, or the work too much.
 
+    Grids do not depend on the tolerance: a smaller one goes on where a larger one ends.
 
-def _started(limits: Sequence[Limit], grid: Grid) -> tuple[Profile, bool]:
-    """Solve on the first grid, or on the finer one that a solution needs if there is one."""
-    scale = _first_scale(limits, grid)
-    while True:
-        try:
-            return _solved(limits, grid, np.zeros(len(scale)), scale)
-        except StuckError:
-            if len(scale) > _SEARCH:
-                raise
-        grid, parent, _, _ = grid.split(np.full(len(scale), 4))
-        scale = scale[parent]
-
-
-def _solved(
-    limits: Sequence[Limit], grid: Grid, curvature: np.ndarray, scale: np.ndarray
-) -> tuple[Profile, bool]:
-    """Solve the stages; where no motion is safe on this grid, return a sketch of one.
-
-    The second result tells which: a sketch serves to refine the grid, on which then a safe motion
-    may exist.
+    Returns
+    -------
+    profile : Profile
+        The fastest motion found.
+    least : float
+        No motion takes less time.
     """
-    try:
-        return solve(limits, grid, curvature, scale, sketch=False), True
-    except StuckError:
-        return solve(limits, grid, curvature, scale, sketch=True), False
+    _require_bounded(limits, grid)
+    rows = sum(2 * len(limit.upper) * (limit.degree(grid) + 1) for limit in limits)
+    curvature = np.zeros(len(grid.h))
+    best, least, work = None, 0.0, 0.0
+    while True:
+        top = ceiling(limits, grid)
+        least = max(least, top.duration)
+        try:
+            guide = solve(limits, grid, curvature, top.x)
+            if best is None or guide.duration < best.duration:
+                best = guide
+        except StuckError:
+            if best is None and (len(grid.h) > _SEARCH or not top.possible):
+                solve(limits, grid, curvature, top.x, every_row=True)  # raises what is to be named
+                raise
+            x = np.maximum(top.x, 1e-300)
+            guide = Profile(grid, *x, np.zeros(len(grid.h)), np.stack([0 * x.T, x.T]))
+        work += len(grid.h) * (_OVERHEAD + rows)
+        if best is not None and (least >= best.duration * (1 - tolerance) or work > _WORK):
+            return best, least
+        grid, curvature = refine(limits, guide, stuck=guide is not best and best is None)
 
 
 def solve(
     limits: Sequence[Limit],
     grid: Grid,
     curvature: np.ndarray,
-    scale: np.ndarray,
-    sketch: bool,
+    top: np.ndarray,
+    slowest: bool = False,
+    every_row: bool = False,
 ) -> Profile:
     """Solve the stages, with a better scale or more room for rounding where it is needed."""
-    margin = MARGIN
+    narrowing, rescalings = NARROWING, 3
+    smaller, scale = np.sort(top, axis=0)
+    scale = np.where(
+        scale > 0, np.where(smaller > 0, np.minimum(scale, _RANGE * smaller), scale), 1
+    )
+    top = np.full_like(top, 1e100) if every_row else np.minimum(top, FREE * scale)
     while True:
         try:
-            profile = fastest_profile(limits, grid, curvature, scale, margin, sketch)
+            profile = fastest_profile(limits, grid, curvature, scale, top, narrowing, slowest)
         except StuckError:
-            if margin > _LARGEST_MARGIN / 10:
+            if narrowing > _LARGEST_NARROWING / 10:
                 raise
-            margin *= 100
+            narrowing *= 100
             continue
-        reach = profile.controllable[1, :, 0]
-        if np.all((reach < 1e3 * scale) & (reach > 1e-3 * scale)):
+        reach = profile.controllable[1].max(axis=1)
+        if rescalings == 0 or np.all(reach > scale / _RANGE):
             return profile
-        scale = reach
+        rescalings -= 1
+        scale = np.where(reach > 0, reach, scale)
 
 
-def _first_scale(limits: Sequence[Limit], grid: Grid) -> np.ndarray:
-    """Guess the size of s'^2 in each interval, from velocities and the way left to brake."""
-    middle = np.array([0.25, 0.75])
-    count = len(grid.h)
-    cap = np.full(count, np.inf)
-    rates = np.full((2, count), np.inf)  # of braking and of gaining speed
+def _require_bounded(limits: Sequence[Limit], grid: Grid) -> None:
+    """Refuse limits that leave the acceleration along the path unbounded somewhere."""
+    z = np.array([0.25, 0.75])
+    bounded = np.zeros((2, len(grid.h)), dtype=bool)
     for limit in limits:
-        a, b, _ = limit.terms(grid, middle, np.ones(count))
-        with np.errstate(divide="ignore", over="ignore"):
-            if limit.squared:
-                cap = np.minimum(cap, (limit.scale**2 / np.abs(b)).min(axis=(0, 2)))
-            elif a is not None:
-                rate = limit.scale / np.abs(a)
-                for i, (up, down) in enumerate(
-                    [(limit.lower, limit.upper), (limit.upper, limit.lower)]
-                ):
-                    bounded = np.isfinite(np.where(a > 0, up, down)) & (a != 0)
-                    best = np.where(bounded, rate, np.inf).min(axis=(0, 2))
-                    rates[i] = np.minimum(rates[i], best)
-    unbounded = np.flatnonzero(~np.isfinite(rates).all(axis=0))
-    if len(unbounded):
+        a, _, _ = limit.terms(grid, z, np.ones(len(grid.h)))
+        if a is not None:
+            lower, upper = (np.isfinite(bound) | limit.norm for bound in limit.bounds(grid, z))
+            for i, (up, down) in enumerate(((upper, lower), (lower, upper))):
+                bounded[i] |= (np.where(a > 0, up, down) & (a != 0)).any(axis=(0, 2))
+    if not bounded.all():
         raise ValueError(
             "the limits leave the acceleration along the path unbounded at s = "
-            f"{grid.s[unbounded[0]]:g}: bound that of a joint that moves there, or its torque, on "
-            "both sides"
+            f"{grid.s[~bounded.all(axis=0)][0]:g}: bound that of a joint that moves there, or its "
+            "torque, on both sides"
         )
-    scale = np.empty(count)
-    for part in grid.sections:
-        inside = slice(part.first, part.last)
-        way = np.cumsum((2 * grid.h * rates[0])[inside][::-1])[::-1]
-        scale[inside] = np.minimum(way, cap[inside])
-    return scale

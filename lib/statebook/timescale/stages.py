@@ -18,9 +18,11 @@ import numpy as np
 from statebook.timescale.grid import Grid, Section
 from statebook.timescale.limits import Limit
 from statebook.timescale.profile import Profile
-from statebook.timescale.rows import FREE, MARGIN, Rows, stage_rows
+from statebook.timescale.rows import FREE, Rows, stage_rows
 
 _BLOCK = 24  # rows handed over at a time: toppra multiplies each block by a square matrix
+NARROWING = 1e-11  # of the controllable sets, for the solver's rounding
+_SAME = 1e-8  # part by which a given s'^2 may be missed: it may be the fastest that can brake
 _STANDSTILL = 1e-11  # s'^2, in units of the scale, that is the solver's rounding of 0
 _NAN = float("nan")
 _FASTEST_LEFT = np.array([1e-9, -1.0])  # toppra minimizes this times (w, x)
@@ -83,29 +85,33 @@ def fastest_profile(
     grid: Grid,
     curvature: np.ndarray,
     scale: np.ndarray,
-    margin: float = MARGIN,
-    sketch: bool = False,
+    top: np.ndarray,
+    margin: float = NARROWING,
+    slowest: bool = False,
 ) -> Profile:
     """Solve all stages: backward the controllable sets, forward the fastest motion in them.
 
-    The controllable sets are narrowed by a margin for the solver's rounding, so that the forward
-    pass does not get stuck.
+    Or a slow one, that goes to the lowest speed in them at every stage.
+
+    No motion is above top, s'^2 at both ends of the intervals, (2, N). The controllable sets
+    are narrowed by a margin for the solver's rounding, so that the forward pass does not get
+    stuck.
 
     Raises
     ------
     StuckError
         No motion satisfies the limits.
     """
-    rows = stage_rows(limits, grid, curvature, scale, sketch)
+    rows = stage_rows(limits, grid, curvature, scale, top)
     solve = _stage_solver(rows)
-    floors = any(limit.kind == "torque" for limit in limits)
+    floors = slowest or any(limit.kind == "torque" for limit in limits)
     sets = np.zeros((2, len(scale), 2))
     x = np.zeros((2, len(scale)))
-    units, steps = scale.tolist(), rows.step.tolist()
+    units, steps, tops = scale.tolist(), rows.step.tolist(), top.tolist()
     for section in grid.sections:
         try:
-            low, high = _controllable(solve, section, units, steps, floors, margin)
-            _drive(solve, section, units, steps, low, high, x)
+            low, high = _controllable(solve, section, units, steps, tops, floors, margin)
+            _drive(solve, section, units, steps, low, high, x, slowest)
         except StuckError as stuck:
             stuck.grid, stuck.rows = grid, rows
             raise
@@ -120,6 +126,7 @@ def _controllable(
     section: Section,
     units: list[float],
     steps: list[float],
+    tops: list[list[float]],
     floors: bool,
     margin: float,
 ) -> tuple[list[float], list[float]]:
@@ -135,7 +142,7 @@ def _controllable(
         w, x = solve(stage, None, -np.array([steps[stage], 1.0]), 0.0, _NAN, 0.0, FREE)
         if w != w:
             raise StuckError(stage, None, (0.0, FREE))
-        high[count] = (x + steps[stage] * w) * units[stage] * (1 - margin)
+        high[count] = min((x + steps[stage] * w) * units[stage] * (1 - margin), tops[1][stage])
     else:
         high[count] = section.end
         low[count] = section.end if floors else 0.0
@@ -146,7 +153,7 @@ def _controllable(
         top = solve(stage, None, _FASTEST_LEFT, 0.0, _NAN, *following)[1]
         if not top >= 0:
             raise StuckError(stage, None, following)
-        high[i] = top * unit * (1 - margin)
+        high[i] = min(top * unit * (1 - margin), tops[0][stage])
         if floors:
             bottom = solve(stage, None, _SLOWEST_LEFT, 0.0, _NAN, *following)[1]
             if not bottom <= top:  # rounding, where both are the same
@@ -163,23 +170,29 @@ def _drive(
     low: list[float],
     high: list[float],
     x: np.ndarray,
+    slowest: bool,
 ) -> None:
-    """Fill in the fastest motion through a section: from each x the largest next one."""
-    speed = high[0] if section.start is None else section.start
-    too_slow = speed < low[0] * (1 - 4 * MARGIN)
-    if too_slow or speed > high[0] * (1 + 4 * MARGIN):
+    """Fill in the fastest motion through a section: from each x the largest next one.
+
+    The slowest is filled in the same way, with the smallest.
+    """
+    direction = -_FASTEST_RIGHT if slowest else _FASTEST_RIGHT
+    speed = (low if slowest else high)[0] if section.start is None else section.start
+    too_slow = speed < low[0] * (1 - _SAME)
+    if too_slow or speed > high[0] * (1 + _SAME):
         raise _obstacle(solve, section, units, steps, speed, too_slow)
+    speed = min(max(speed, low[0]), high[0])
     for i in range(section.last - section.first):
         stage = section.first + i
         unit = units[stage]
         here = speed / unit
-        w = solve(stage, None, _FASTEST_RIGHT, here, here, low[i + 1] / unit, high[i + 1] / unit)[0]
+        w = solve(stage, None, direction, here, here, low[i + 1] / unit, high[i + 1] / unit)[0]
         if w != w:
             raise StuckError(stage, here, (low[i + 1] / unit, high[i + 1] / unit))
         x[0, stage] = speed
         speed = min(max(speed + w * steps[stage] * unit, low[i + 1]), high[i + 1])
         x[1, stage] = speed
-    if section.end is not None and speed < section.end * (1 - 4 * MARGIN):
+    if section.end is not None and speed < section.end * (1 - _SAME):
         stage = section.last - 1
         raise StuckError(stage, x[0, stage] / units[stage], (section.end / units[stage],) * 2)
 

@@ -4,47 +4,51 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from statebook import _validate
+from statebook.timescale.ends import Pauses
 from statebook.timescale.grid import Grid
-from statebook.timescale.limits import Limit
+from statebook.timescale.limits import Limit, polygon
 from statebook.timescale.path import Path, horner
-from statebook.timescale.profile import Audit, Profile, Use, audit, static_torques_hold
+from statebook.timescale.profile import Audit, Profile, audit
+from statebook.timescale.rows import MARGIN
 
 if TYPE_CHECKING:
     from statebook.trajectory import Trajectory
 
 
-def maximum_speeds(path: Path, limits: Sequence[Limit], s: np.ndarray) -> np.ndarray:
+def maximum_speeds(grid: Grid, limits: Sequence[Limit], s: np.ndarray) -> np.ndarray:
     """Return the largest s' for which some s'' satisfies all limits, shape (N,).
 
     Each limit is a half-plane g u + b x <= c. Two of them with g of opposite sign leave a u only
     if (b1/g1 + b2/abs(g2)) x <= c1/g1 + c2/abs(g2); the smallest such bound on x counts.
     """
-    knots = path.curve.x
-    piece = np.clip(np.searchsorted(knots, s, side="right") - 1, 0, len(knots) - 2)
-    grid = Grid(path.curve.c, knots, piece, s - knots[piece], np.zeros(len(s)), ())
+    grid = grid.at(s)
     middle = np.zeros(1)
     gs, bs, cs = [], [], []
     for limit in limits:
         inertial, quadratic, static = limit.terms(grid, middle, np.ones(len(s)))
+        lower, upper = limit.bounds(grid, middle)
+        if limit.norm and inertial is not None:
+            inertial, quadratic = polygon(inertial, quadratic)
+            lower = np.full_like(upper, -np.inf)
         slope = quadratic[0]
         if limit.squared:
             size = limit.scale**2
-            sides = [(1.0, limit.squared_bounds(grid.path(middle, 1)))]
+            sides = [(1.0, limit.squared_bounds(grid, middle))]
         else:
             size = limit.scale
             shift = np.zeros_like(slope) if static is None else static[0]
-            sides = [(1.0, limit.upper - shift), (-1.0, shift - limit.lower)]
+            sides = [(1.0, upper - shift), (-1.0, shift - lower)]
         for sign, bound in sides:
             gs.append(np.zeros_like(slope) if inertial is None else sign * inertial[0] / size)
             bs.append(sign * slope / size)
-            cs.append(np.broadcast_to(bound / size, slope.shape))
+            cs.append(np.broadcast_to(bound / size, (1, *slope.shape))[0])
     g, b, c = (np.concatenate(parts, axis=1) for parts in (gs, bs, cs))
     highest = np.full(len(s), np.inf)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -58,7 +62,7 @@ def maximum_speeds(path: Path, limits: Sequence[Limit], s: np.ndarray) -> np.nda
             room = c[:, k, None] / g[:, k, None] + c / -g
             bound = np.where(pairs & (slope > 0), room / slope, np.inf)
             np.minimum(highest, bound.min(axis=1), out=highest)
-    return np.sqrt(np.maximum(highest, 0.0))
+    return np.asarray(np.sqrt(np.maximum(highest, 0.0)) / grid.stretch)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -69,11 +73,11 @@ class TimedPath:
     ----------
     path : Path
     stops : tuple of float
-        Values of s inside the path where p' jumps and the motion stops.
+        Values of s inside the path where its direction jumps and the motion stops.
     skipped : tuple of (float, float)
         Intervals of s along which nothing moves; they take no time.
     gap : float
-        Estimated part of the duration by which the optimum is shorter.
+        Part of the duration by which the optimum is shorter at most: a bound, no estimate.
 
     Examples
     --------
@@ -91,6 +95,7 @@ class TimedPath:
     gap: float
     _profile: Profile
     _limits: tuple[Limit, ...]
+    _pauses: Pauses = field(default_factory=Pauses)
 
     def __repr__(self) -> str:
         stops = f", stops at s = {', '.join(f'{s:.4g}' for s in self.stops)}" if self.stops else ""
@@ -98,8 +103,41 @@ class TimedPath:
 
     @property
     def duration(self) -> float:
-        """Time the motion takes [s]."""
-        return self._profile.duration
+        """Time the motion takes, pauses included [s]."""
+        return self._profile.duration + float(self._pauses.length.sum())
+
+    def time_at(self, s: Any) -> Any:
+        """Return when the motion arrives at s.
+
+        Parameters
+        ----------
+        s : float or array, shape (N,)
+            Between the ends of the path. Where nothing moves: when that part is reached.
+
+        Returns
+        -------
+        float or array, shape (N,) [s]
+
+        Examples
+        --------
+        >>> from statebook import Path, time_scale
+        >>> timed = time_scale(Path.through([[0.0, 1.0]]), acceleration=1.0)
+        >>> round(timed.time_at(0.5), 6)
+        1.0
+        """
+        s = _validate.real_array("s", s)
+        self.path(s)  # refuses what is not on the path
+        start, end = self._profile.grid.s_at(np.array([0.0, 1.0]))
+        places = np.atleast_1d(s)
+        i = np.maximum(np.searchsorted(start, places, side="right") - 1, 0)
+        z = np.clip((places - start[i]) / (end[i] - start[i]), 0.0, 1.0)
+        times = self._pauses.clock(self._profile.time_at(i, z))
+        return times if s.ndim else float(times[0])
+
+    @cached_property
+    def arrival_times(self) -> np.ndarray:
+        """When the motion arrives at the waypoints, `Path.waypoint_s`, shape (N,) [s]."""
+        return np.asarray(self.time_at(self.path.waypoint_s))
 
     def position(self, t: Any) -> np.ndarray:
         """Return the joint positions, which are points of the path.
@@ -108,7 +146,7 @@ class TimedPath:
         ----------
         t : float or array, shape (N,) [s]
             Between 0 and the duration, both of which give the path's ends exactly; beyond them
-            by 1e-9 of the duration is taken for rounding.
+            by 1e-7 of the duration, the rounding of single precision, is taken for it.
 
         Returns
         -------
@@ -120,25 +158,28 @@ class TimedPath:
             t is not one or more numbers within the motion.
         """
         t = self._times(t)
-        value = np.empty((self.path.dof, t.size))
-        if self.duration > 0:
-            piece, offset, _, _ = self._along(t)
-            value[:] = horner(self.path.curve.c, piece, offset, 0).T
-        times = np.atleast_1d(t)
-        value[:, times == 0] = self.path(self.path.s_start)[:, None]
-        value[:, times == self.duration] = self.path(self.path.s_end)[:, None]
-        return value if t.ndim else value[:, 0]
+        value = self._derivative(t, 0)
+        if t.ndim:
+            value[:, t == self.duration] = self.path(self.path.s_end)[:, None]
+        return value if t.ndim or t < self.duration else self.path(self.path.s_end)
 
     def velocity(self, t: Any) -> np.ndarray:
         """Return the joint velocities p' s'; see `position` for the arguments."""
-        return self._derivative(t, 1)
+        return self._derivative(self._times(t), 1)
 
     def acceleration(self, t: Any) -> np.ndarray:
         """Return the joint accelerations p' s'' + p'' s'^2; see `position` for the arguments.
 
         Where it jumps: the one after the instant, at the end the last one.
         """
-        return self._derivative(t, 2)
+        return self._derivative(self._times(t), 2)
+
+    def jerk(self, t: Any) -> np.ndarray:
+        """Return the joint jerks p' s''' + 3 p'' s' s'' + p''' s'^3; see `position`.
+
+        Where it jumps: the one after the instant, at the end the last one.
+        """
+        return self._derivative(self._times(t), 3)
 
     def progress(self, t: Any) -> tuple[Any, Any, Any]:
         """Return s, s' and s'' at times t.
@@ -152,40 +193,40 @@ class TimedPath:
         s, sdot, sddot : float or array, shape (N,)
         """
         t = self._times(t)
-        if self.duration == 0:
-            s = np.full(t.size, self.path.s_start)
-            values = s, np.zeros(t.size), np.zeros(t.size)
-        else:
-            i, ds, speed, rate = self._profile.locate(np.atleast_1d(t))
-            s = np.clip(self._profile.grid.s[i] + ds, self.path.s_start, self.path.s_end)
-            values = s, speed, rate
-        s, sdot, sddot = values
-        return (s, sdot, sddot) if t.ndim else (float(s[0]), float(sdot[0]), float(sddot[0]))
+        moving, paused = self._pauses.moving(np.atleast_1d(t))
+        i, ds, speed, rate = self._profile.locate(moving)
+        grid = self._profile.grid
+        k = grid.piece[i]
+        stretch = grid.pieces.stretch[k]
+        s = grid.pieces.origin[k] + (grid.offset[i] + ds) / stretch
+        s = np.clip(s, self.path.s_start, self.path.s_end)
+        values = s, np.where(paused, 0.0, speed / stretch), np.where(paused, 0.0, rate / stretch)
+        return values if t.ndim else tuple(float(value[0]) for value in values)
 
     @cached_property
     def s(self) -> np.ndarray:
-        """Gridpoints, shape (M,): the ends of all intervals.
-
-        A gridpoint where s' jumps, because the robot is at rest there, comes twice.
-        """
-        grid = self._profile.grid
-        return self._gridpoints(grid.s, grid.s + grid.h)
+        """Gridpoints, shape (M,): the ends of the intervals in which s'' is linear in s."""
+        return self._gridpoints(*self._profile.grid.s_at(np.array([0.0, 1.0])))
 
     @cached_property
     def sdot(self) -> np.ndarray:
-        """Speed s' along the path at the gridpoints, shape (M,)."""
-        return np.sqrt(self._gridpoints(self._profile.x0, self._profile.x1))
+        """Speed s' along the path at the gridpoints, shape (M,).
+
+        Where s' jumps, because the robot is at rest or p' changes its length: the one before.
+        """
+        stretch = self._profile.grid.stretch
+        return self._gridpoints(*(np.sqrt([self._profile.x0, self._profile.x1]) / stretch))
 
     @cached_property
     def times(self) -> np.ndarray:
-        """Times of the gridpoints, shape (M,) [s]."""
+        """Times of the gridpoints, shape (M,), strictly increasing [s]."""
         times = self._profile.times
-        return self._gridpoints(times[:-1], times[1:])
+        return self._pauses.clock(self._gridpoints(times[:-1], times[1:]))
 
     @cached_property
     def controllable(self) -> np.ndarray:
         """Lowest and highest s' at the gridpoints from which the end can be reached, (2, M)."""
-        sets = np.sqrt(self._profile.controllable)
+        sets = np.sqrt(self._profile.controllable) / self._profile.grid.stretch[:, None]
         return np.stack([self._gridpoints(side[:, 0], side[:, 1]) for side in sets])
 
     def maximum_speed(self, s: Any) -> np.ndarray:
@@ -203,28 +244,28 @@ class TimedPath:
         """
         s = _validate.real_array("s", s, (None,))
         self.path(s)  # refuses what is not on the path
-        return maximum_speeds(self.path, self._limits, s)
+        return maximum_speeds(self._profile.grid, self._limits, s)
 
     def audit(self) -> Audit:
         """Return the largest use of every limit over all time, and where it is.
 
-        For velocity, acceleration and speed it is exact; torques are looked at on 17 points of
+        For velocity, acceleration and speed it is exact; torques are looked at on 5 points of
         each interval. `time_scale` has done this before it returned.
         """
         return self._audit
 
     @cached_property
     def _audit(self) -> Audit:
-        if self.duration == 0:
-            rows = [(limit.kind, row) for limit in self._limits for row in range(len(limit.upper))]
-            return Audit(tuple(Use(*row, 0.0, 0.0, self.path.s_start, True) for row in rows))
-        return audit(self._profile, self._limits)
+        found = audit(self._profile, self._limits)
+        clock = self._pauses.clock
+        return Audit(tuple(replace(u, time=float(clock(np.array(u.time)))) for u in found))
 
     def slower(self, factor: float) -> TimedPath:
         """Return the same motion, uniformly slowed down.
 
-        Velocities are divided by factor, accelerations by its square. Torques then lie between
-        their old values and those of the robot at rest, so these must be within the limits.
+        Velocities are divided by factor, accelerations by its square; pauses are factor times
+        as long. Without viscous friction torques then lie between their old values and those of
+        the robot at rest. The result is audited.
 
         Parameters
         ----------
@@ -234,25 +275,25 @@ class TimedPath:
         Raises
         ------
         ValueError
-            factor is below 1, or the robot at rest would exceed a torque limit.
+            factor is below 1, or a torque limit would be exceeded: by the load of the robot at
+            rest, or by friction.
         """
         if _validate.positive("factor", factor) < 1:
             raise ValueError(f"factor must be at least 1, got {factor:g}")
-        if (
-            factor > 1
-            and self.duration > 0
-            and not static_torques_hold(self._profile, self._limits)
-        ):
+        slowed = self._slowed(factor)
+        if slowed is None:
             raise ValueError(
                 "the motion cannot be slowed down: somewhere on the path the load of the robot at "
-                "rest exceeds a torque limit"
+                "rest, or driven slowly, exceeds a torque limit"
             )
-        return replace(self, _profile=self._profile.slower(factor))
+        return slowed
 
     def to_trajectory(self, dt: float) -> Trajectory:
         """Return samples at multiples of dt, the last one at the end of the path.
 
-        The motion is slowed down uniformly so that its duration is the next multiple of dt.
+        The motion is slowed down uniformly so that its duration is the next multiple of dt. Where
+        that would change the speed given for an end, or the robot at rest would exceed a torque
+        limit, it is not, and the last step is shorter than dt.
 
         Parameters
         ----------
@@ -263,67 +304,66 @@ class TimedPath:
         Trajectory
             States are positions, then velocities, (2 dof, T); controls the accelerations,
             (dof, T), one per time.
-
-        Raises
-        ------
-        ValueError
-            The motion cannot be slowed down: the speed at one of its ends is given, or the robot
-            at rest would exceed a torque limit. Sample `position` at times of your own then.
         """
         from statebook.trajectory import Trajectory
 
         _validate.positive("dt", dt)
-        steps = max(math.ceil(self.duration / dt * (1 - 1e-12)), 0)
+        steps = math.ceil(self.duration / dt * (1 - 1e-12))
         timed = self
-        if self.duration > 0:
-            factor = max(steps * dt / self.duration, 1.0)
-            moving = np.abs(self.velocity(np.array([0.0, self.duration]))).max()
-            peak = np.abs(self.velocity(self.times)).max()
-            if factor > 1 + 1e-9 and moving > 1e-9 * peak:
-                raise ValueError(
-                    "slowing down to a multiple of dt would change the speeds given for the ends; "
-                    f"choose dt so that {self.duration:.12g} s is a multiple of it, or sample "
-                    "position(t) yourself"
-                )
-            timed = self.slower(factor)
-        times = np.linspace(0.0, timed.duration, steps + 1)
+        ends = np.abs(self.velocity(np.array([0.0, self.duration]))).max()
+        at_rest = ends <= 1e-9 * np.abs(self.velocity(self.times)).max()
+        if at_rest:
+            timed = self._slowed(max(steps * dt / self.duration, 1.0)) or self
+        times = np.minimum(dt * np.arange(steps + 1), timed.duration)
+        times[-1] = timed.duration
         states = np.concatenate([timed.position(times), timed.velocity(times)])
-        return Trajectory(dt * np.arange(steps + 1), states, timed.acceleration(times))
+        return Trajectory(times, states, timed.acceleration(times))
+
+    def _slowed(self, factor: float) -> TimedPath | None:
+        """Return the motion slowed down, or None where that breaks a limit."""
+        profile, pauses = self._profile.slower(factor), self._pauses.slower(factor)
+        slowed = replace(self, _profile=profile, _pauses=pauses)
+        worst = slowed.audit().worst.use
+        return slowed if worst <= max(1 + MARGIN, self.audit().worst.use) else None
 
     def _times(self, t: Any) -> np.ndarray:
         """Check times, and put those that rounding has moved beyond the ends back there."""
         t = _validate.real_array("t", t)
-        slack = 1e-9 * self.duration
-        if t.ndim > 1 or np.any((t < -slack) | (t > self.duration + slack)):
+        slack = 1e-7 * self.duration
+        if t.ndim > 1 or not np.all((t >= -slack) & (t <= self.duration + slack)):
             raise ValueError(
                 f"t must be a number or a vector within [0, {self.duration:.9g}], the duration of "
                 f"the motion, got {t}"
             )
-        return np.clip(t, 0.0, self.duration)
+        return np.minimum(np.maximum(t, 0.0), self.duration)
 
-    def _along(self, t: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Return the piece of the curve, the offset in it, s' and s'' at times t."""
-        i, ds, speed, rate = self._profile.locate(np.atleast_1d(t))
+    def _derivative(self, t: np.ndarray, order: int) -> np.ndarray:
+        """Return the position or a derivative of it at times t, (dof,) or (dof, N)."""
+        moving, paused = self._pauses.moving(t)
+        if order and not t.ndim and paused:
+            return np.zeros(self.path.dof)
+        profile = self._profile
+        i, ds, speed, rate = profile.locate(moving) if t.ndim else profile.locate_one(float(moving))
         grid = self._profile.grid
-        return grid.piece[i], grid.offset[i] + ds, speed, rate
-
-    def _derivative(self, t: Any, order: int) -> np.ndarray:
-        t = self._times(t)
-        value = np.zeros((self.path.dof, t.size))
-        if self.duration > 0:
-            piece, offset, speed, rate = self._along(t)
-            slope = horner(self.path.curve.c, piece, offset, 1)
-            if order == 1:
-                value = (slope * speed[:, None]).T
-            else:
-                bend = horner(self.path.curve.c, piece, offset, 2)
-                value = (slope * rate[:, None] + bend * (speed**2)[:, None]).T
-        return value if t.ndim else value[:, 0]
+        k, pieces, c = grid.piece[i], grid.pieces, self.path.curve.c
+        stretch, source = pieces.stretch[k], pieces.source[k]
+        offset = pieces.begin[k] + (grid.offset[i] + ds) / stretch
+        value = horner(c, source, offset, min(order, 1))
+        if order == 1:
+            value *= np.asarray(speed / stretch)[..., None]
+        elif order == 2:
+            value *= np.asarray(rate / stretch)[..., None]
+            value += np.asarray((speed / stretch) ** 2)[..., None] * horner(c, source, offset, 2)
+        elif order == 3:
+            third = profile.third(i, ds, speed)
+            for k, rates in ((1, third), (2, 3 * speed * rate), (3, speed**3)):
+                term = horner(c, source, offset, k) * np.asarray(rates / stretch**k)[..., None]
+                value = term if k == 1 else value + term
+        if order and t.ndim:
+            value[paused] = 0.0
+        return value.T
 
     def _gridpoints(self, left: np.ndarray, right: np.ndarray) -> np.ndarray:
-        """Join values at both ends of the intervals to one vector, section by section."""
-        parts = [
-            np.append(left[part.first : part.last], right[part.last - 1])
-            for part in self._profile.grid.sections
-        ]
-        return np.concatenate(parts) if parts else np.zeros(0)
+        """Return values at the gridpoints, given those at both ends of the intervals."""
+        takes_time = np.diff(self._profile.times) > 0
+        return np.append(left[0], right[takes_time])

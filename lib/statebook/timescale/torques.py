@@ -3,16 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import scipy
 
+from statebook.errors import InfeasiblePathError
 from statebook.probes import takes_batches
-from statebook.timescale.limits import TorqueLimit, bounds
+from statebook.timescale.bounds import MISFIT, read_bounds
+from statebook.timescale.curves import fit
+from statebook.timescale.friction import DRAG_LOSS, friction_form, reversals
+from statebook.timescale.limits import TorqueLimit
 from statebook.timescale.path import Path
 
 _SAMPLES = 5
 _FORM = 1e-7  # part of the motion's torques by which the form may be missed
+_DEGREE = 7  # in s, of the polynomials that stand for the torques
+_FIT = 1e-7  # part of their largest value, or of the bounds, by which they may be missed
+_NOISE = 1e-4  # part of the bounds that the function's noise may reach
+_JUMP = 1e-2  # part of the bounds that is left beside a jump
+_CELLS = 16  # pieces of the path, at least, in which torques are looked at
+_PROBES = np.array([0.0371, 0.2113, 0.3719, 0.5471, 0.6817, 0.8353, 0.9581])  # in each of these
+_ROUNDS = 12
+_SAFETY = 2.0  # on the errors that were seen
 
 
 def torque_limit(path: Path, torque: Any, inverse_dynamics: Any) -> TorqueLimit:
@@ -38,32 +52,149 @@ def torque_limit(path: Path, torque: Any, inverse_dynamics: Any) -> TorqueLimit:
         )
     s = np.linspace(path.s_start, path.s_end, _SAMPLES + 2)[1:-1]
     q, slope = path(s), path(s, 1)
-    rows = _rows(inverse_dynamics, q[:, 0])
-    dynamics = _vectorized(inverse_dynamics, q, slope, rows)
-    lower, upper = bounds("torque", torque, rows)
-    _check_form(dynamics, q, slope)
-    return TorqueLimit("torque", lower, upper, dynamics)
+    rows, noise = _rows(inverse_dynamics, q)
+    dynamics = _vectorized(inverse_dynamics, q, slope, rows, noise)
+    lower, upper, along = read_bounds("torque", torque, rows, path, around_zero=False)
+    _check_form(dynamics, q, slope, noise)
+    friction = friction_form(dynamics, q, slope, noise)
+    loss = (MISFIT if callable(torque) else 0.0) + (DRAG_LOSS if friction[1] else 0.0)
+    bounds = TorqueLimit("torque", lower, upper, dynamics, None, friction, along=along, loss=loss)
+    return fitted_torques(bounds, path, _FIT)
 
 
-def _rows(function: Callable[..., Any], q: np.ndarray) -> int:
-    """Return the number of rows of the function's values."""
-    value = np.asarray(function(q, np.zeros_like(q), np.zeros_like(q)))
+def fitted_torques(limit: TorqueLimit, path: Path, tolerance: float) -> TorqueLimit:
+    """Return the limit with polynomials in s for its torques, and room for their error.
+
+    Between the nodes of the polynomials the torques of one motion are looked at beside them; where
+    they miss, the pieces are made shorter.
+
+    Raises
+    ------
+    InfeasiblePathError
+        A torque jumps along the path, or changes too fast.
+    ValueError
+        The function is noise.
+    """
+    assert limit.dynamics is not None
+    forms = _Forms(limit, path)
+    cells = np.union1d(path.curve.x, np.linspace(path.s_start, path.s_end, _CELLS + 1)[1:-1])
+    if limit.friction[0]:
+        cells = np.union1d(cells, reversals(path))
+    for _ in range(_ROUNDS):
+        found = fit(forms, cells, _DEGREE, tolerance, (0,), stall=_NOISE, floor=1.0)
+        knots = found.curve.x
+        error = found.error[0].reshape(len(knots) - 1, 5, -1).sum(axis=1)
+        ends = np.stack([cells[:-1], cells[1:]])
+        probes = (ends[0] + np.multiply.outer(_PROBES, ends[1] - ends[0])).ravel()
+        near = found.curve(probes).reshape(len(probes), 5, -1).sum(axis=1)
+        missed = np.abs(near - forms.sum(probes))
+        piece = np.clip(np.searchsorted(knots, probes, side="right") - 1, 0, len(knots) - 2)
+        unforeseen = (missed > 10 * tolerance + _SAFETY * error[piece]).any(axis=1)
+        np.maximum.at(error, piece, missed)
+        worst = int(error.max(axis=1).argmax())
+        width = knots[worst + 1] - knots[worst]
+        if error.max() > _JUMP and width < 1e-5 * (knots[-1] - knots[0]):
+            row = int(error[worst].argmax())
+            raise InfeasiblePathError(
+                f"the path cannot be driven within the limits: at s = {knots[worst]:.6g} the "
+                f"torque of row {row} jumps there, or changes too fast; make it smooth, or time "
+                "the path in two parts",
+                constraint=f"torque of row {row}",
+                s=float(knots[worst]),
+            )
+        bad = np.unique(piece[unforeseen])
+        if not len(bad):
+            break
+        middle = (knots[bad] + knots[bad + 1]) / 2
+        cells = np.unique(np.concatenate([cells, knots[bad], knots[bad + 1], middle]))
+    margin = _SAFETY * float(error.max())
+    if margin > _JUMP:
+        raise ValueError(
+            "inverse_dynamics must be smooth along the path: polynomials miss its torques by "
+            f"{error.max():.2g} of their bounds everywhere, which is noise; smooth them first"
+        )
+    return replace(limit, fitted=forms.unscaled(found.curve), margin=margin)
+
+
+class _Forms:
+    """The terms of the torques along a path, in parts of the bounds, as functions of s.
+
+    At s'' = rate and s' = speed, values of about the largest motion, they are a s'', b s'^2, c, k
+    and d s', five groups of columns (M, 5 R).
+    """
+
+    def __init__(self, limit: TorqueLimit, path: Path) -> None:
+        assert limit.dynamics is not None
+        self.dynamics, self.path, self.scale = limit.dynamics, path, limit.scale
+        self.dry, self.viscous = limit.friction
+        length = path.s_end - path.s_start
+        self.rate, self.speed = 1 / length**2, 1 / length
+        s = path.s_start + length * np.linspace(0.05, 0.95, _SAMPLES)
+        inertial = np.abs(self(s)[:, : len(self.scale)]).max(axis=1)
+        self.rate /= max(float(np.median(inertial)), 1e-300)
+        self.speed = float(np.sqrt(self.rate * length))
+
+    def _torques(self, s: np.ndarray, speed: float, rate: float) -> np.ndarray:
+        """Return the torques at a given motion, (M, R), in parts of the bounds."""
+        slope = self.path(s, 1)
+        qdd = slope * rate + self.path(s, 2) * speed**2
+        return np.asarray(self.dynamics(self.path(s), slope * speed, qdd).T / self.scale)
+
+    def __call__(self, s: np.ndarray) -> np.ndarray:
+        c = self._torques(s, 0.0, 0.0)
+        a = self._torques(s, 0.0, self.rate) - c
+        k = d = np.zeros_like(c)
+        b = self._torques(s, self.speed, 0.0) - c
+        if self.dry or self.viscous:  # moving(n) = k + n d speed + n^2 b speed^2
+            one, two = b, self._torques(s, 2 * self.speed, 0.0) - c
+            half = self._torques(s, self.speed / 2, 0.0) - c if self.viscous else one
+            b = (two - 3 * one + 2 * half) / 1.5 if self.viscous else (two - one) / 3
+            d = two - one - 3 * b if self.viscous else d
+            k = one - d - b if self.dry else k
+        return np.concatenate([a, b, c, k, d], axis=1)
+
+    def sum(self, s: np.ndarray) -> np.ndarray:
+        """Return the torques with all terms at once, (M, R)."""
+        return self._torques(s, self.speed, self.rate)
+
+    def unscaled(self, curve: Any) -> Any:
+        """Return a fitted curve with columns in the units of a, b, c, k and d."""
+        units = [1 / self.rate, 1 / self.speed**2, 1.0, 1.0, 1 / self.speed]
+        columns = np.multiply.outer(units, self.scale).ravel()
+        return scipy.interpolate.PPoly(curve.c * columns, curve.x)
+
+
+def _rows(function: Callable[..., Any], q: np.ndarray) -> tuple[int, float]:
+    """Return the number of rows of the function's values, and their relative noise."""
+    still = np.zeros_like(q[:, 0])
+    values = [np.array(function(q[:, 0].copy(), still.copy(), still.copy())) for _ in range(2)]
+    value = values[0]
     if value.ndim != 1 or value.dtype.kind not in "iuf":
         raise ValueError(
             "inverse_dynamics must return a real vector (rows,) for q, qd, qdd of shape (dof,); "
             f"got shape {value.shape} of {value.dtype}"
         )
-    return len(value)
+    size = max(float(np.abs(value).max(initial=0.0)), 1e-300)
+    noise = float(np.abs(values[1] - value).max(initial=0.0)) / size
+    if noise > _JUMP:
+        raise ValueError(
+            "inverse_dynamics must depend on its arguments alone: two calls at the same q, at rest,"
+            f" differ by {noise:.2g} of the torque, which is noise; smooth it first"
+        )
+    rounding = np.finfo(value.dtype).eps if value.dtype.kind == "f" else 0.0
+    return len(value), max(3 * noise, float(rounding))
 
 
 def _vectorized(
-    function: Callable[..., Any], q: np.ndarray, slope: np.ndarray, rows: int
+    function: Callable[..., Any], q: np.ndarray, slope: np.ndarray, rows: int, noise: float
 ) -> Callable[..., Any]:
     """Return the function for batches: itself if its batches agree with its single values."""
 
     def one_by_one(q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
         return np.array(
-            [function(q[:, i], qd[:, i], qdd[:, i]) for i in range(q.shape[1])], dtype=float
+            # Copied at once: it may be the function's own buffer.
+            [np.array(function(q[:, i], qd[:, i], qdd[:, i])) for i in range(q.shape[1])],
+            dtype=float,
         ).T.reshape(rows, q.shape[1])
 
     def finite(values: np.ndarray, q: np.ndarray) -> np.ndarray:
@@ -75,36 +206,27 @@ def _vectorized(
             )
         return values
 
-    if takes_batches(function, q, slope, slope[::-1], alone=function, rtol=1e-9):
-        return lambda q, qd, qdd: finite(np.asarray(function(q, qd, qdd), dtype=float), q)
+    if takes_batches(function, q, slope, slope[::-1], alone=function, rtol=max(1e-9, 10 * noise)):
+        return lambda q, qd, qdd: finite(np.array(function(q, qd, qdd), dtype=float), q)
     return lambda q, qd, qdd: finite(one_by_one(q, qd, qdd), q)
 
 
-def _check_form(dynamics: Callable[..., Any], q: np.ndarray, slope: np.ndarray) -> None:
-    """Refuse what is not affine in qdd or not purely quadratic in qd.
-
-    A term linear in qd dominates at low speed, one of higher order at high speed: both are tried.
-    """
+def _check_form(
+    dynamics: Callable[..., Any], q: np.ndarray, slope: np.ndarray, noise: float
+) -> None:
+    """Refuse what is not affine in qdd with a matrix free of qd."""
     size = np.abs(q).max() + np.abs(slope).max()
     still = np.zeros_like(q)
     static = dynamics(q, still, still)
-    rounding = 1e-12 * np.abs(static).max() + 1e-300
+    rounding = max(1e-12, 10 * noise) * np.abs(static).max() + 1e-300
     direction = slope / max(np.abs(slope).max(), 1e-300) + 0.1 * np.cos(np.arange(q.size)).reshape(
         q.shape
     )
     for scale in size * np.array([1e-3, 1.0, 1e3]):
         v = scale * direction
-        forward, backward = dynamics(q, v, still) - static, dynamics(q, -v, still) - static
-        double = dynamics(q, 2 * v, still) - static
-        tolerance = _FORM * np.abs(forward).max() + rounding
-        if max(np.abs(forward - backward).max(), np.abs(double - 4 * forward).max()) > tolerance:
-            raise ValueError(
-                "inverse_dynamics must be quadratic in qd: friction proportional to velocity, or "
-                "to its sign, cannot be time-scaled this way; leave it out and lower the limits "
-                "by its size"
-            )
+        forward = dynamics(q, v, still) - static
         once, both = dynamics(q, still, v) - static, dynamics(q, v, v) - static
         twice = dynamics(q, still, 2 * v) - static
-        tolerance = _FORM * (np.abs(once).max() + np.abs(forward).max()) + rounding
+        tolerance = max(_FORM, 10 * noise) * (np.abs(once).max() + np.abs(forward).max()) + rounding
         if max(np.abs(twice - 2 * once).max(), np.abs(both - once - forward).max()) > tolerance:
             raise ValueError("inverse_dynamics must be affine in qdd, with a matrix free of qd")

@@ -1,0 +1,330 @@
+"""What no motion can exceed: a bound on s'^2 along the path, and the least time it leaves.
+
+Where tau = a u + b x + c with x = s'^2 and u = x'/2 is at most tau_max and a keeps its sign,
+
+    d/ds (a^2 E x) = 2 a E (tau - c),   E = exp(integral of 2 (b - a')/a),
+
+so that both bounds on tau bound the change of a^2 E x over an interval: for the acceleration of a
+joint, where b = a' and E = 1, the change of the square of its velocity. These inequalities, and
+those that hold at single points, are necessary. The largest x that satisfies them all lies above
+every motion, and the time it takes below every time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from statebook.timescale.grid import Grid, Section
+from statebook.timescale.limits import Limit, polygon
+from statebook.timescale.profile import travel_time
+
+_COUNT = 5
+_NODES = (1 - np.cos(np.linspace(0, np.pi, _COUNT))) / 2  # of each interval
+_ORDERS = np.arange(_COUNT)
+_TO_POWERS = np.linalg.inv(_NODES[:, None] ** _ORDERS)
+_SLOPES = (_ORDERS * _NODES[:, None] ** np.maximum(_ORDERS - 1, 0)) @ _TO_POWERS
+_AREAS = (_NODES[:, None] ** (_ORDERS + 1) / (_ORDERS + 1)) @ _TO_POWERS  # from 0 to the nodes
+_FLAT = 1e-6  # part of a row's largest a in the interval that counts as 0
+_STEEP = 1.0  # log E may change by so much in an interval, or the inequality is left out
+_ROUGH = 1e-2  # the highest power in it may be so large
+_REST = 0.1  # what comes beyond the highest power is smaller than this part of it
+_ROUNDING = 1e-9
+_SAME = 1e-8  # part by which a given s'^2 may be above the bound
+_BLOCK = 2000  # intervals at a time
+_NEWTON = 30
+_ANY = 1e150  # stands for no bound
+_BEND = 1.2  # between nodes bounds are taken for quadratics, bent by this much more
+
+
+@dataclass(frozen=True, eq=False)
+class Ceiling:
+    """Bounds on every motion: s'^2 at both ends of the intervals, (2, N), and the times (N,).
+
+    Where there can be no motion, it is not possible.
+    """
+
+    x: np.ndarray
+    times: np.ndarray
+    possible: bool
+
+    @property
+    def duration(self) -> float:
+        """No motion takes less."""
+        return float(self.times.sum())
+
+
+def ceiling(limits: Sequence[Limit], grid: Grid) -> Ceiling:
+    """Bound every motion from above.
+
+    Parameters
+    ----------
+    limits : sequence of Limit
+    grid : Grid
+        The finer it is, the sharper is the bound.
+    """
+    blocks = [
+        slice(first, min(first + _BLOCK, len(grid.h))) for first in range(0, len(grid.h), _BLOCK)
+    ]
+    parts = [_changes_and_caps(limits, grid.part(block)) for block in blocks]
+    x, possible = _highest_motion(parts, grid.sections)
+    times = [
+        _least_times(*part, x[:, block], grid.h[block])
+        for part, block in zip(parts, blocks, strict=True)
+    ]
+    return Ceiling(x, np.concatenate(times), possible)
+
+
+class Changes(NamedTuple):
+    """Bounds at the nodes of the intervals: low <= m x - m0 x0 <= high, each (K, N, R).
+
+    x0 and m0 are those at the left end. Where m vanishes within, at a turn of the row, the parts
+    on both sides stand alone: low <= -m0 x0 to the left of it, m x <= high to the right.
+    """
+
+    m: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    turn: np.ndarray  # (N, R), bool
+    push: np.ndarray  # (N, R), the fastest change of the root of m x in time
+
+
+def _changes_and_caps(limits: Sequence[Limit], grid: Grid) -> tuple[Changes, np.ndarray]:
+    """Return the changes of all rows, and the cap on x (K, N) at the nodes of the intervals."""
+    cap = np.full((_COUNT, len(grid.h)), np.inf)
+    rows, changes = [], []
+    for limit in limits:
+        a, b, c = limit.terms(grid, _NODES, np.ones(len(grid.h)))
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            if a is None:
+                for k in range(_COUNT):  # alone: the sign of p' may change between them
+                    bound = limit.squared_bounds(grid, _NODES[k : k + 1])
+                    room = np.where(b[k] > 0, bound / b[k], np.inf).min(axis=-1)
+                    cap[k] = np.minimum(cap[k], room.reshape(-1) * (1 + _ROUNDING + limit.margin))
+                continue
+            lower, upper = limit.bounds(grid, _NODES)
+            if limit.norm:
+                a, b = polygon(a, b)
+                lower = np.full_like(upper, -np.inf)
+            slack = limit.margin * limit.scale - (0.0 if c is None else c)
+            lower, upper = (
+                np.broadcast_to(v, b.shape)
+                for v in (lower - 2 * limit.margin * limit.scale + slack, upper + slack)
+            )
+            a = np.where(np.abs(a) > _FLAT * np.abs(a).max(axis=0), a, 0.0)
+            changes.append(_changes(a, b, lower, upper, grid.h))
+            rows.append([(v / limit.scale)[[0, -1]] for v in (a, b, lower, upper)])
+    every = Changes(*(np.concatenate(values, axis=-1) for values in zip(*changes, strict=True)))
+    a, b, lower, upper = (np.concatenate(values, axis=2) for values in zip(*rows, strict=True))
+    cap[[0, -1]] = np.minimum(cap[[0, -1]], _highest(a, b, lower, upper))
+    # The same for x at one end and at the other, in the place of x and u.
+    m0, m1 = every.m[0], every.m[-1]
+    low, high = (
+        np.where(every.turn, v, ends[-1])
+        for v, ends in ((-np.inf, every.low), (np.inf, every.high))
+    )
+    cap[0] = np.minimum(cap[0], _highest(m1, -m0, low, high))
+    cap[-1] = np.minimum(cap[-1], _highest(-m0, m1, low, high))
+    return every, cap
+
+
+def _changes(
+    a: np.ndarray, b: np.ndarray, lower: np.ndarray, upper: np.ndarray, h: np.ndarray
+) -> Changes:
+    """Return the changes of m x with m = a^2 E."""
+    h = h[:, None]
+    drift = b - np.tensordot(_SLOPES, a, 1) / h
+    size = np.abs(a).max(axis=0)
+    small = np.abs(drift) <= _ROUNDING * (np.abs(b).max(axis=0) + size / h)
+    rate = np.where(small, 0.0, 2 * h * drift / a)
+    forward, backward = (a >= 0).all(axis=0), (a <= 0).all(axis=0)
+    usable = (forward | backward) & (size > 0) & (np.abs(rate) <= _STEEP).all(axis=0)
+    rate = np.where(usable, rate, 0.0)
+    rest = np.abs(np.tensordot(_TO_POWERS[-1], rate, 1))
+    usable &= rest <= _ROUGH
+    growth = np.exp(np.tensordot(_AREAS, rate, 1))
+    weight = 2 * h * a * growth
+    pushes = [
+        weight * np.where(np.isfinite(v), v, 0.0)
+        for v in (np.where(forward, lower, upper), np.where(forward, upper, lower))
+    ]
+    low, high = (np.tensordot(_AREAS, push, 1) for push in pushes)
+    off = [
+        (_ROUNDING + _REST * rest) * np.abs(push).max(axis=0)
+        + _REST * np.abs(np.tensordot(_TO_POWERS[-1], push, 1))
+        for push in pushes
+    ]
+    low -= np.where(_NODES[:, None, None] > 0, off[0], 0.0)
+    high += np.where(_NODES[:, None, None] > 0, off[1], 0.0)
+    free = ~np.isfinite(lower).all(axis=0), ~np.isfinite(upper).all(axis=0)
+    low[:, ~usable | np.where(forward, *free)] = -np.inf
+    high[:, ~usable | np.where(forward, *free[::-1])] = np.inf
+    turn = small.all(axis=0) & (np.count_nonzero(np.diff(a > 0, axis=0), axis=0) == 1)
+    turn &= ~(forward | backward)
+    if turn.any():
+        low[:, turn], high[:, turn] = _beside_turn(
+            a[:, turn], lower[:, turn], upper[:, turn], np.broadcast_to(h, turn.shape)[turn]
+        )
+    bound = np.maximum(np.abs(lower), np.abs(upper)) * np.sqrt(growth)
+    push = np.where(usable | turn, bound.max(axis=0), np.inf)
+    return Changes(a * a * growth, low, high, turn, push)
+
+
+def _beside_turn(
+    a: np.ndarray, lower: np.ndarray, upper: np.ndarray, h: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return low and high (K, C) where a changes its sign once and E = 1."""
+    powers = _TO_POWERS @ a
+    left, right = np.zeros(len(h)), np.ones(len(h))
+    for _ in range(50):
+        middle = (left + right) / 2
+        before = (np.polynomial.polynomial.polyval(middle, powers, tensor=False) > 0) == (a[0] > 0)
+        left, right = np.where(before, middle, left), np.where(before, right, middle)
+    bound = np.where(a[-1] > 0, upper, lower)
+    finite = np.isfinite(bound).all(axis=0)
+    weight = _TO_POWERS @ (2 * h * a * np.where(finite, bound, 0.0))
+    area = np.polynomial.polynomial.polyint(weight)
+    at = np.polynomial.polynomial.polyval(_NODES, area).T
+    turn = np.polynomial.polynomial.polyval(left, area, tensor=False)
+    node = _NODES[:, None]
+    off = _ROUNDING * np.abs(at).max(axis=0) + _REST * np.abs(weight[-1])
+    low = np.where((node < left) & finite, at - off, np.inf)
+    low[-1] = np.where(finite, turn - off, -np.inf)
+    return low, np.where((node > left) & finite, at - turn + off, np.inf)
+
+
+def _highest(a: np.ndarray, b: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Return the largest x for which some u satisfies lower <= a u + b x <= upper in all rows.
+
+    All arguments are (..., R). The least u that the rows allow is convex in x, the greatest
+    concave: from above, Newton's method comes down to where they meet, and never below.
+    """
+    flat = a == 0
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        direct = np.where(b > 0, upper, lower) / b
+        x = np.where(flat & (b != 0) & (direct >= 0), direct, _ANY).min(axis=-1)
+        pole = np.where(flat, 1.0, a)
+        slope = -b / pole
+        low = np.where(flat, -np.inf, np.where(a > 0, lower, upper) / pole)
+        high = np.where(flat, np.inf, np.where(a > 0, upper, lower) / pole)
+        for _ in range(_NEWTON):
+            least = (low + slope * x[..., None]).argmax(axis=-1)[..., None]
+            most = (high + slope * x[..., None]).argmin(axis=-1)[..., None]
+            steep = np.take_along_axis(slope, least, -1) - np.take_along_axis(slope, most, -1)
+            room = np.take_along_axis(high, most, -1) - np.take_along_axis(low, least, -1)
+            meet = np.maximum(room / steep, 0.0)[..., 0]
+            lower_x = np.where((steep[..., 0] > 0) & (meet < x), meet, x)
+            if np.all(lower_x >= x * (1 - 1e-12)):
+                break
+            x = lower_x
+    return np.where(x >= _ANY, np.inf, x * (1 + _ROUNDING))
+
+
+def _highest_motion(
+    parts: Sequence[tuple[Changes, np.ndarray]], sections: Sequence[Section]
+) -> tuple[np.ndarray, bool]:
+    """Return the largest x at both ends of all intervals, (2, N), and whether there is any."""
+    possible = True
+    ends = [(c.m[0], c.m[-1], c.low[-1], c.high[-1], c.turn) for c, _ in parts]
+    m0, m1, low, high, turn = (np.concatenate(values) for values in zip(*ends, strict=True))
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        gain, loss = (np.where((d > 0) & ~turn, n / d, 0.0) for n, d in ((m0, m1), (m1, m0)))
+        more, less = (np.where(d > 0, n / d, np.inf) for n, d in ((high, m1), (-low, m0)))
+    x = np.minimum(np.concatenate([cap[[0, -1]] for _, cap in parts], axis=1), _ANY)
+    for first, last, start, end in sections:
+        top = np.append(x[0, first:last], x[1, last - 1])
+        top[1:-1] = np.minimum(top[1:-1], x[1, first : last - 1])
+        top[0], top[-1] = (
+            cap if speed is None else speed for cap, speed in ((top[0], start), (top[-1], end))
+        )
+        best = top.tolist()
+        for i in range(last - 1, first - 1, -1):
+            k = i - first
+            best[k] = min(best[k], (loss[i] * best[k + 1] + less[i]).min())
+        for i in range(first, last):
+            k = i - first
+            best[k + 1] = min(best[k + 1], (gain[i] * best[k] + more[i]).min())
+        x[:, first:last] = np.maximum([best[:-1], best[1:]], 0.0)
+        possible &= min(best[1:-1], default=1.0) > 0
+        possible &= best[0] >= (start or 0.0) * (1 - _SAME) and best[-1] >= (end or 0.0) * (
+            1 - _SAME
+        )
+    return x, possible
+
+
+def _least_times(changes: Changes, cap: np.ndarray, x: np.ndarray, h: np.ndarray) -> np.ndarray:
+    """Return a time below that of any motion over each interval, given bounds x at its ends.
+
+    Between two nodes it is the larger of two times: that of the row alone that takes longest, and
+    that under the lower of two bounds on x, the one active on the left and the one on the right.
+    """
+    m, low, high, turn, push = changes
+    first, last = (np.where(turn, 0.0, m[i] * x[i][:, None]) for i in (0, -1))
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        ahead, back = first + high, last - (low[-1] - low)
+        back[-1, turn] = np.inf
+        alone = _time_of_rows(ahead, push, 1), _time_of_rows(back, push, -1)
+        bounds = np.concatenate(
+            [
+                np.where(m > 0, ahead / m, np.inf),
+                np.where(m > 0, back / m, np.inf),
+                cap[:, :, None],
+            ],
+            axis=2,
+        )
+    beyond = turn & ~np.isfinite(ahead[:-1]) & ~np.isfinite(back[1:])
+    longest = np.where(beyond, alone[0] + alone[1], np.maximum(*alone)).max(axis=2)
+    times = np.zeros(len(h))
+    for k in range(_COUNT - 1):
+        under = _time_under(bounds, k) * h
+        times += np.maximum(under, longest[k])
+    return times
+
+
+def _time_of_rows(square: np.ndarray, push: np.ndarray, sign: int) -> np.ndarray:
+    """Return the times between nodes in which rows gain, or lose, speed as fast as they can.
+
+    square (K, N, R) is m x; its root changes by at most push in a unit of time.
+    """
+    root = np.sqrt(np.maximum(np.where(np.isfinite(square), square, 0.0), 0.0))
+    return np.maximum(sign * np.diff(root, axis=0), 0.0) / push
+
+
+def _time_under(bounds: np.ndarray, k: int) -> np.ndarray:
+    """Return the time from node k to the next under bounds on x (K, N, B), for h = 1.
+
+    Of all bounds, those that are lowest at one of the two nodes count. Each is a quadratic at
+    most, bent as much as its values at neighbouring nodes tell.
+    """
+    known = np.isfinite(bounds)
+    near = slice(max(k - 1, 0), k + 3)
+    usable = known[k] & known[k + 1] & (known[near].sum(axis=0) > 2)
+    every = np.arange(bounds.shape[1])
+    which = [np.where(usable, bounds[i], np.inf).argmin(axis=1) for i in (k, k + 1)]
+    some = usable.any(axis=1)
+    curves = [np.where(some, np.maximum(bounds[:, every, i], 0.0), 1.0) for i in which]
+    step = _NODES[k + 1] - _NODES[k]
+    left, right = (_bend(curve[near], _NODES[near]) * step**2 for curve in curves)
+    (l0, l1), (r0, r1) = (curve[k : k + 2] for curve in curves)
+    ahead, behind = l1 - r1, r0 - l0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        z = np.where(ahead + behind > 0, behind / (ahead + behind), 1.0)
+    z = np.where(which[0] == which[1], 1.0, np.clip(z, 0.0, 1.0))
+    peak = np.where(z < 1, l0 + z * (l1 - l0) - left * z * (1 - z), r1)
+    peak = np.maximum(peak, 1e-300)
+    time = travel_time(z * step, l0, peak, left * z**2)
+    time += travel_time((1 - z) * step, peak, r1, right * (1 - z) ** 2)
+    return np.where(some, time, 0.0)
+
+
+def _bend(curve: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """Return the second divided difference of curves (K, N), or a lower one, at most 0."""
+    lowest = np.zeros(curve.shape[1])
+    for i in range(len(nodes) - 2):
+        first, second = ((curve[j + 1] - curve[j]) / (nodes[j + 1] - nodes[j]) for j in (i, i + 1))
+        bend = (second - first) / (nodes[i + 2] - nodes[i])
+        lowest = np.minimum(lowest, np.where(np.isfinite(bend), bend, 0.0))
+    return _BEND * lowest
