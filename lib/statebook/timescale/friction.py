@@ -107,33 +107,25 @@ def at_rest(limit: TorqueLimit, path: Path, windows: np.ndarray) -> TorqueLimit:
     return replace(limit, kind="torque at rest", sliding=False, along=along)
 
 
-def first_speed(limit: TorqueLimit) -> Callable[[Grid], np.ndarray]:
+def first_speed(limit: TorqueLimit, grid: Grid) -> np.ndarray:
     """Return a guess of s'^2 (5, N): viscous friction takes a quarter of what torque there is."""
-
-    def guess(grid: Grid) -> np.ndarray:
-        _, _, c, dry, drag = limit.parts(grid, _LOOK)
-        lower, upper = limit.bounds(grid, _LOOK)
-        room = np.minimum(upper - c - dry, c + dry - lower)
-        room = np.clip(room, 1e-3 * limit.scale, limit.scale)
-        with np.errstate(divide="ignore"):
-            speed = (room / (4 * np.abs(drag))).min(axis=2)
-        return np.where(np.isfinite(speed), speed, 1.0) ** 2
-
-    return guess
+    _, _, c, dry, drag = limit.parts(grid, _LOOK)
+    lower, upper = limit.bounds(grid, _LOOK)
+    room = np.minimum(upper - c - dry, c + dry - lower)
+    room = np.clip(room, 1e-3 * limit.scale, limit.scale)
+    with np.errstate(divide="ignore"):
+        speed = (room / (4 * np.abs(drag))).min(axis=2)
+    return np.where(np.isfinite(speed), speed, 1.0) ** 2
 
 
-def speed_of(profile: Profile) -> Callable[[Grid], np.ndarray]:
-    """Return s'^2 (5, N) of a motion on other grids of the same path."""
+def speed_of(profile: Profile, grid: Grid) -> np.ndarray:
+    """Return s'^2 (5, N) of a motion on another grid of the same path."""
     start, end = profile.grid.s_at(np.array([0.0, 1.0]))
-
-    def known(grid: Grid) -> np.ndarray:
-        s = grid.s_at(_LOOK)
-        i = np.maximum(np.searchsorted(start, s, side="right") - 1, 0)
-        z = np.clip((s - start[i]) / (end[i] - start[i]), 0.0, 1.0)
-        bend = profile.bulge[i] * z * (1 - z)
-        return np.maximum(profile.x0[i] * (1 - z) + profile.x1[i] * z - bend, 0.0)
-
-    return known
+    s = grid.s_at(_LOOK)
+    i = np.maximum(np.searchsorted(start, s, side="right") - 1, 0)
+    z = np.clip((s - start[i]) / (end[i] - start[i]), 0.0, 1.0)
+    bend = profile.bulge[i] * z * (1 - z)
+    return np.maximum(profile.x0[i] * (1 - z) + profile.x1[i] * z - bend, 0.0)
 
 
 def drag_lines(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -184,7 +176,7 @@ def settle(
     viscous = [one for one in current if isinstance(one, TorqueLimit) and one.friction[1]]
     if not viscous:
         return current, *solve(current)
-    speed = first_speed(viscous[0])
+    speed = partial(first_speed, viscous[0])
     for _ in range(_ROUNDS):
         lines = partial(_lines, speed)
         current = [replace(one, lines=lines) if one in viscous else one for one in limits]
@@ -192,7 +184,7 @@ def settle(
         x, (low, high) = profile.x(_LOOK), _band(speed(profile.grid))
         if np.all((x >= low) & (x <= high)):
             break
-        speed = speed_of(profile)
+        speed = partial(speed_of, profile)
     return current, profile, least
 
 

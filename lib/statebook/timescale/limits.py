@@ -319,6 +319,9 @@ class TorqueLimit(Limit):
     sliding: bool = True
     lines: Callable[[Grid], tuple[np.ndarray, ...]] | None = None
 
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"dynamics": None}  # a function of the caller: a lambda, perhaps
+
     def degree(self, grid: Grid) -> int:
         return len(self.fitted.c) + 1
 
