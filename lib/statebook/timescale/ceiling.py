@@ -178,11 +178,16 @@ def _beside_turn(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return low and high (K, C) where a changes its sign once and E = 1."""
     powers = _TO_POWERS @ a
-    left, right = np.zeros(len(h)), np.ones(len(h))
-    for _ in range(50):
-        middle = (left + right) / 2
-        before = (np.polynomial.polynomial.polyval(middle, powers, tensor=False) > 0) == (a[0] > 0)
-        left, right = np.where(before, middle, left), np.where(before, right, middle)
+    change, every = np.diff(a > 0, axis=0).argmax(axis=0), np.arange(len(h))
+    first, last = _NODES[change], _NODES[change + 1]
+    before, after = a[change, every], a[change + 1, every]
+    left = first + (last - first) * before / (before - after)
+    slopes = powers[1:] * _ORDERS[1:, None]
+    for _ in range(4):
+        slope = np.polynomial.polynomial.polyval(left, slopes, tensor=False)
+        value = np.polynomial.polynomial.polyval(left, powers, tensor=False)
+        step = np.divide(value, slope, out=np.zeros_like(value), where=slope != 0)
+        left = np.clip(left - step, first, last)
     bound = np.where(a[-1] > 0, upper, lower)
     finite = np.isfinite(bound).all(axis=0)
     weight = _TO_POWERS @ (2 * h * a * np.where(finite, bound, 0.0))
@@ -241,18 +246,29 @@ def _highest_motion(
             cap if speed is None else speed for cap, speed in ((top[0], start), (top[-1], end))
         )
         best = top.tolist()
-        for i in range(last - 1, first - 1, -1):
-            k = i - first
-            best[k] = min(best[k], (loss[i] * best[k + 1] + less[i]).min())
-        for i in range(first, last):
-            k = i - first
-            best[k + 1] = min(best[k + 1], (gain[i] * best[k] + more[i]).min())
+        inside = slice(first, last)
+        for k, lines in reversed(_lines_below(loss[inside], less[inside], top[:-1])):
+            best[k] = min(best[k], min(g * best[k + 1] + m for g, m in lines))
+        for k, lines in _lines_below(gain[inside], more[inside], top[1:]):
+            best[k + 1] = min(best[k + 1], min(g * best[k] + m for g, m in lines))
         x[:, first:last] = np.maximum([best[:-1], best[1:]], 0.0)
         possible &= min(best[1:-1], default=1.0) > 0
         possible &= best[0] >= (start or 0.0) * (1 - _SAME) and best[-1] >= (end or 0.0) * (
             1 - _SAME
         )
     return x, possible
+
+
+def _lines_below(
+    slope: np.ndarray, offset: np.ndarray, top: np.ndarray
+) -> list[tuple[int, list[tuple[float, float]]]]:
+    """Return the lines, of R to each of N intervals, that begin below a level, with its number."""
+    interval, row = np.nonzero(offset < top[:, None])
+    lines = list(zip(slope[interval, row].tolist(), offset[interval, row].tolist(), strict=True))
+    first = np.flatnonzero(np.diff(interval, prepend=-1))
+    ends = np.append(first, len(interval))[1:].tolist()
+    numbers = interval[first].tolist()
+    return [(k, lines[a:b]) for k, a, b in zip(numbers, first.tolist(), ends, strict=True)]
 
 
 def _least_times(changes: Changes, cap: np.ndarray, x: np.ndarray, h: np.ndarray) -> np.ndarray:

@@ -25,12 +25,13 @@ from statebook.timescale.path import Path
 from statebook.timescale.profile import Profile
 
 _FORM = 1e-7  # part of the torques by which the form may be missed
-_WINDOW = 1e-7  # part of the path beside a rest that counts as being there
+_WINDOW = 1e-9  # part of the path beside a rest that counts as being there
 _IDLE = 1e8  # times the scale of a bound stands for none
 _BAND = 0.03  # relative change of s'^2 for which the lines are made
 DRAG_LOSS = _BAND**2 / 8  # of the time, at most, where drag takes all the torque
 _REST = 1e-6  # part of the largest s'^2 in an interval that is none
 _ROUNDS = 12
+_LOOSE = 0.03  # tolerance of the first rounds
 _LOOK = np.array([1e-9, 0.25, 0.5, 0.75, 1 - 1e-9])  # in intervals
 
 
@@ -104,36 +105,30 @@ def at_rest(limit: TorqueLimit, path: Path, windows: np.ndarray) -> TorqueLimit:
     inside = given if limit.along is None else limit.along(middle[resting])
     bounds[resting] = np.clip(np.where(np.isfinite(given), inside, none), -abs(none), abs(none))
     along = scipy.interpolate.PPoly(bounds[None], knots)
-    return replace(limit, kind="torque at rest", sliding=False, along=along)
+    return replace(
+        limit, kind="torque at rest", sliding=False, along=along, loss=float(np.sqrt(_WINDOW))
+    )
 
 
-def first_speed(limit: TorqueLimit) -> Callable[[Grid], np.ndarray]:
-    """Return a guess of s'^2 (5, N): viscous friction takes a quarter of what torque there is."""
-
-    def guess(grid: Grid) -> np.ndarray:
-        _, _, c, dry, drag = limit.parts(grid, _LOOK)
-        lower, upper = limit.bounds(grid, _LOOK)
-        room = np.minimum(upper - c - dry, c + dry - lower)
-        room = np.clip(room, 1e-3 * limit.scale, limit.scale)
-        with np.errstate(divide="ignore"):
-            speed = (room / (4 * np.abs(drag))).min(axis=2)
-        return np.where(np.isfinite(speed), speed, 1.0) ** 2
-
-    return guess
+def _first_speed(limit: TorqueLimit, grid: Grid) -> np.ndarray:
+    """Guess s'^2 (5, N): viscous friction takes a quarter of what torque there is."""
+    _, _, c, dry, drag = limit.parts(grid, _LOOK)
+    lower, upper = limit.bounds(grid, _LOOK)
+    room = np.minimum(upper - c - dry, c + dry - lower)
+    room = np.clip(room, 1e-3 * limit.scale, limit.scale)
+    with np.errstate(divide="ignore"):
+        speed = (room / (4 * np.abs(drag))).min(axis=2)
+    return np.where(np.isfinite(speed), speed, 1.0) ** 2
 
 
-def speed_of(profile: Profile) -> Callable[[Grid], np.ndarray]:
-    """Return s'^2 (5, N) of a motion on other grids of the same path."""
+def _speed_of(profile: Profile, grid: Grid) -> np.ndarray:
+    """Return s'^2 (5, N) of a motion on another grid of the same path."""
     start, end = profile.grid.s_at(np.array([0.0, 1.0]))
-
-    def known(grid: Grid) -> np.ndarray:
-        s = grid.s_at(_LOOK)
-        i = np.maximum(np.searchsorted(start, s, side="right") - 1, 0)
-        z = np.clip((s - start[i]) / (end[i] - start[i]), 0.0, 1.0)
-        bend = profile.bulge[i] * z * (1 - z)
-        return np.maximum(profile.x0[i] * (1 - z) + profile.x1[i] * z - bend, 0.0)
-
-    return known
+    s = grid.s_at(_LOOK)
+    i = np.maximum(np.searchsorted(start, s, side="right") - 1, 0)
+    z = np.clip((s - start[i]) / (end[i] - start[i]), 0.0, 1.0)
+    bend = profile.bulge[i] * z * (1 - z)
+    return np.maximum(profile.x0[i] * (1 - z) + profile.x1[i] * z - bend, 0.0)
 
 
 def drag_lines(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -162,15 +157,18 @@ def _band(x: np.ndarray) -> np.ndarray:
 
 
 def settle(
-    limits: Sequence[Limit], solve: Callable[[Sequence[Limit]], tuple[Profile, float]]
+    limits: Sequence[Limit],
+    tolerance: float,
+    solve: Callable[[Sequence[Limit], float], tuple[Profile, float]],
 ) -> tuple[list[Limit], Profile, float]:
     """Solve, with viscous friction linearized about the last motion, until the motion stays.
 
     Parameters
     ----------
     limits : sequence of Limit
+    tolerance : float
     solve : callable
-        Limits to the fastest motion and a bound on its time from below.
+        Limits and a tolerance to the fastest motion and a bound on its time from below.
 
     Returns
     -------
@@ -183,16 +181,18 @@ def settle(
     current = list(limits)
     viscous = [one for one in current if isinstance(one, TorqueLimit) and one.friction[1]]
     if not viscous:
-        return current, *solve(current)
-    speed = first_speed(viscous[0])
-    for _ in range(_ROUNDS):
-        lines = partial(_lines, speed)
-        current = [replace(one, lines=lines) if one in viscous else one for one in limits]
-        profile, least = solve(current)
-        x, (low, high) = profile.x(_LOOK), _band(speed(profile.grid))
-        if np.all((x >= low) & (x <= high)):
-            break
-        speed = speed_of(profile)
+        return current, *solve(current, tolerance)
+    speed: Callable[[Grid], np.ndarray] = partial(_first_speed, viscous[0])
+    for first in (True, False):
+        for _ in range(_ROUNDS):
+            lines = partial(_lines, speed)
+            current = [replace(one, lines=lines) if one in viscous else one for one in limits]
+            profile, least = solve(current, max(tolerance, _LOOSE) if first else tolerance)
+            x, (low, high) = profile.x(_LOOK), _band(speed(profile.grid))
+            speed = partial(_speed_of, profile)
+            near = (x >= low) & (x <= high)
+            if near.all() or (first and near.mean() > 0.9):
+                break
     return current, profile, least
 
 

@@ -97,6 +97,10 @@ class TimedPath:
     _limits: tuple[Limit, ...]
     _pauses: Pauses = field(default_factory=Pauses)
 
+    def __getstate__(self) -> dict[str, Any]:
+        self.audit()  # while the caller's functions are there
+        return self.__dict__
+
     def __repr__(self) -> str:
         stops = f", stops at s = {', '.join(f'{s:.4g}' for s in self.stops)}" if self.stops else ""
         return f"TimedPath(duration={self.duration:.6g} s, dof={self.path.dof}{stops})"

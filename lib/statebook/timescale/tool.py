@@ -9,7 +9,7 @@ import numpy as np
 
 from statebook import _validate
 from statebook.probes import takes_batches
-from statebook.timescale.bounds import MISFIT, read_bounds
+from statebook.timescale.bounds import read_bounds
 from statebook.timescale.curves import Fit, fit
 from statebook.timescale.limits import (
     AccelerationLimit,
@@ -52,10 +52,10 @@ def tool_limits(path: Path, speed: Any, acceleration: Any, kinematics: Any) -> l
         )
     if kinematics is None:
         return []
-    found = _fit_tool(path, kinematics)
+    found = _fit_tool(path, kinematics, (1,) if acceleration is None else (1, 2))
     axes = found.curve.c.shape[2]
     spread = np.ptp(path.curve.x)
-    size = np.maximum(found.scale, found.scale[:1].max() / [[1.0], [spread]])
+    size = np.maximum(found.scale, found.scale[0].max() / [[1.0], [spread]][: len(found.scale)])
     slip = found.error.max(axis=1)
     off = np.divide(slip, size, out=np.zeros_like(slip), where=size > 0).max()
     limits: list[Limit] = []
@@ -66,17 +66,14 @@ def tool_limits(path: Path, speed: Any, acceleration: Any, kinematics: Any) -> l
         if value is None:
             continue
         rows, kind = _rows(value, axes, path), norm if _rows(value, axes, path) == 1 else each
-        lower, upper, along = read_bounds(name, value, rows, path)
+        bounds = read_bounds(name, value, rows, path)
         limits.append(
             kind(
                 name.replace("_", " "),
-                lower,
-                upper,
-                along=along,
+                **bounds._asdict(),
                 curve=found.curve,
                 slip=np.linalg.norm(slip, axis=1, keepdims=True) if rows == 1 else slip,
                 margin=2 * off,
-                loss=MISFIT if callable(value) else 0.0,
             )
         )
     return limits
@@ -92,8 +89,8 @@ def _rows(value: Any, axes: int, path: Path) -> int:
     return axes if len(shape) > 1 or shape[0] == axes else 1
 
 
-def _fit_tool(path: Path, kinematics: Callable[..., Any]) -> Fit:
-    """Fit polynomials of s to the tool's position."""
+def _fit_tool(path: Path, kinematics: Callable[..., Any], orders: tuple[int, ...]) -> Fit:
+    """Fit polynomials of s to the tool's position, for these of its derivatives."""
     if not callable(kinematics):
         raise TypeError(f"forward_kinematics must be a function q -> position, got {kinematics!r}")
 
@@ -115,14 +112,14 @@ def _fit_tool(path: Path, kinematics: Callable[..., Any]) -> Fit:
             ).T
         return np.array([alone(column) for column in q.T])
 
-    found = fit(position, path.curve.x, _DEGREE, _TOLERANCE, (1, 2))
-    size = max(found.scale[1].max(), found.scale[0].max() / np.ptp(s), 1e-300)
-    off = found.error[1].max(axis=1) / size
+    found = fit(position, path.curve.x, _DEGREE, _TOLERANCE, orders)
+    size = max(found.scale[-1].max(), found.scale[0].max() / np.ptp(s) ** (len(orders) - 1), 1e-300)
+    off = found.error[-1].max(axis=1) / size
     if off.max() > _SMOOTH:
         first, last = found.curve.x[off.argmax() + np.arange(2)]
         raise ValueError(
-            "forward_kinematics must be smooth, with two derivatives along the path, and without "
-            f"noise; between s = {first:.6g} and {last:.6g} its second derivative is known to "
+            f"forward_kinematics must be smooth, with derivatives up to order {orders[-1]} along the "
+            f"path, and without noise; between s = {first:.6g} and {last:.6g} that one is known to "
             f"{off.max():.1g} of its size only"
         )
     return found

@@ -11,7 +11,7 @@ import scipy
 
 from statebook.errors import InfeasiblePathError
 from statebook.probes import takes_batches
-from statebook.timescale.bounds import MISFIT, read_bounds
+from statebook.timescale.bounds import read_bounds
 from statebook.timescale.curves import fit
 from statebook.timescale.friction import DRAG_LOSS, friction_form, reversals
 from statebook.timescale.limits import TorqueLimit
@@ -54,10 +54,11 @@ def torque_limit(path: Path, torque: Any, inverse_dynamics: Any) -> TorqueLimit:
     q, slope = path(s), path(s, 1)
     rows, noise = _rows(inverse_dynamics, q)
     dynamics = _vectorized(inverse_dynamics, q, slope, rows, noise)
-    lower, upper, along = read_bounds("torque", torque, rows, path, around_zero=False)
+    given = read_bounds("torque", torque, rows, path, around_zero=False)
     _check_form(dynamics, q, slope, noise)
     friction = friction_form(dynamics, q, slope, noise)
-    loss = (MISFIT if callable(torque) else 0.0) + (DRAG_LOSS if friction[1] else 0.0)
+    lower, upper, along, loss = given
+    loss += DRAG_LOSS if friction[1] else 0.0
     bounds = TorqueLimit("torque", lower, upper, dynamics, None, friction, along=along, loss=loss)
     return fitted_torques(bounds, path, _FIT)
 
@@ -78,8 +79,7 @@ def fitted_torques(limit: TorqueLimit, path: Path, tolerance: float) -> TorqueLi
     assert limit.dynamics is not None
     forms = _Forms(limit, path)
     cells = np.union1d(path.curve.x, np.linspace(path.s_start, path.s_end, _CELLS + 1)[1:-1])
-    if limit.friction[0]:
-        cells = np.union1d(cells, reversals(path))
+    cells = np.union1d(cells, reversals(path))  # friction jumps there, or bends
     for _ in range(_ROUNDS):
         found = fit(forms, cells, _DEGREE, tolerance, (0,), stall=_NOISE, floor=1.0)
         knots = found.curve.x
