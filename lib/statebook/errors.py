@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import numpy as np
 
     from statebook.trajectory import Trajectory
+
+
+class _Kept:
+    """Errors that keep their attributes when they are pickled."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self).__new__, (type(self), *self.args), self.__dict__  # type: ignore
 
 
 class NotAnEquilibriumError(ValueError):
@@ -22,7 +29,7 @@ class KinkError(ValueError):
     """The function has no derivative at the point."""
 
 
-class DivergenceError(RuntimeError):
+class DivergenceError(_Kept, RuntimeError):
     """A simulation left the finite numbers, or could go no further.
 
     Attributes
@@ -49,7 +56,7 @@ class DivergenceError(RuntimeError):
         self.trajectory = trajectory
 
 
-class InfeasiblePathError(ValueError):
+class InfeasiblePathError(_Kept, ValueError):
     """No timing of the path satisfies the limits.
 
     Attributes
@@ -64,3 +71,14 @@ class InfeasiblePathError(ValueError):
         super().__init__(message)
         self.constraint = constraint
         self.s = s
+
+
+def outside_domain(error: Exception) -> bool:
+    """Whether a function raised because a number is outside its domain: 1 / 0, math.sqrt(-1).
+
+    NumPy returns inf or NaN there; Python's numbers and ``math`` raise.
+    """
+    words = str(error)
+    return isinstance(error, ArithmeticError) or (
+        isinstance(error, ValueError) and words.startswith(("math ", "expected a "))
+    )

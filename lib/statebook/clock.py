@@ -1,0 +1,86 @@
+"""A sampled controller: what acts on the plant between the ticks of a clock."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from statebook.control_trajectory import ControlTrajectory
+from statebook.dense_output import Steps
+from statebook.policies import Control, Stretch, of_plan, shaped
+from statebook.times import tick
+
+_ROUNDING = 1e-9  # periods
+
+
+class Clock:
+    """Calls a policy once a tick, and holds what it returned from `delay` later on.
+
+    Parameters
+    ----------
+    command : callable
+        u(x, t), called in order of time.
+    period, delay : float [s]
+    m, batch : int and tuple of int
+        Shape of the controls.
+    before : array, shape (m,) or (m, N)
+        What acts until the first control arrives.
+    first : array
+        What the policy returned at 0.
+    """
+
+    def __init__(
+        self,
+        command: Callable[[np.ndarray, float], Any],
+        period: float,
+        delay: float,
+        m: int,
+        batch: tuple[int, ...],
+        before: np.ndarray,
+        first: np.ndarray,
+    ) -> None:
+        self._command, self._period, self._delay = command, period, delay
+        self._m, self._batch = m, batch
+        self._waiting: deque[tuple[float, np.ndarray]] = deque()
+        self._times: list[float] = []
+        self._values: list[np.ndarray] = []
+        self.acting = before
+        self._take(first, 0.0)
+        self._arrive(0.0)
+
+    def stretches(self, steps: Steps, count: int) -> Iterator[Stretch]:
+        """The stretches of `count` periods, each with the control that acts in it."""
+        for k in range(count):
+            start, end = tick(0.0, self._period, k), tick(0.0, self._period, k + 1)
+            if k:
+                self._take(self._command(steps.state, start), start)
+            while start < end:
+                self._arrive(start)
+                slack = _ROUNDING * self._period
+                until = min([end, *(t for t, _ in self._waiting if t < end - slack)])
+                self._times.append(start)
+                self._values.append(self.acting)
+                yield Stretch(start, until, lambda x, t, u=self.acting: u)
+                start = until
+        self._times.append(end)
+
+    def control(self) -> Control:
+        """What acted until now, as a plan."""
+        times = self._times
+        if len(times) == len(self._values):  # the run ended within a stretch
+            times = [*times, tick(0.0, self._period, int(times[-1] / self._period) + 2)]
+        values = np.stack(self._values).reshape(1, len(self._values), -1)
+        if values.size == 0:
+            return Control(0, self._batch, None, lambda x, t: self.acting)
+        return of_plan(ControlTrajectory(np.array(times), values), self._m, self._batch)
+
+    def _take(self, command: Any, t: float) -> None:
+        value = shaped("policy(x, t)", command, self._m, self._batch).copy()
+        self._waiting.append((t + self._delay, value))
+
+    def _arrive(self, t: float) -> None:
+        while self._waiting and self._waiting[0][0] <= t + _ROUNDING * self._period:
+            self.acting = self._waiting.popleft()[1]
