@@ -169,7 +169,7 @@ def test_cubic_needs_a_continuous_system():
         trajectory.at(0.5, "cubic")
     with pytest.raises(ValueError, match="continuous-time system, got dt = True"):
         trajectory.at(0.5, "cubic", system=sb.as_system(lambda x: x, [0.0], dt=True))
-    with pytest.raises(ValueError, match="kind must be one of linear, cubic"):
+    with pytest.raises(ValueError, match="kind must be one of dense, linear, cubic"):
         trajectory.at(0.5, "quintic")
 
 

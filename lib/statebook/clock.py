@@ -10,7 +10,7 @@ import numpy as np
 
 from statebook.control_trajectory import ControlTrajectory
 from statebook.dense_output import Steps
-from statebook.policies import Control, Stretch, of_plan, shaped
+from statebook.policies import Control, Stretch, held, of_plan, shaped
 from statebook.times import tick
 
 _ROUNDING = 1e-9  # periods
@@ -23,9 +23,10 @@ class Clock:
     ----------
     command : callable
         u(x, t), called in order of time.
-    period, delay : float [s]
-    m, batch : int and tuple of int
-        Shape of the controls.
+    period : float [s]
+    count : int
+        Number of periods.
+    delay : float [s]
     before : array, shape (m,) or (m, N)
         What acts until the first control arrives.
     first : array
@@ -36,14 +37,13 @@ class Clock:
         self,
         command: Callable[[np.ndarray, float], Any],
         period: float,
+        count: int,
         delay: float,
-        m: int,
-        batch: tuple[int, ...],
         before: np.ndarray,
         first: np.ndarray,
     ) -> None:
-        self._command, self._period, self._delay = command, period, delay
-        self._m, self._batch = m, batch
+        self._command, self._period, self._count, self._delay = command, period, count, delay
+        self._m, self._batch = len(before), before.shape[1:]
         self._waiting: deque[tuple[float, np.ndarray]] = deque()
         self._times: list[float] = []
         self._values: list[np.ndarray] = []
@@ -51,9 +51,17 @@ class Clock:
         self._take(first, 0.0)
         self._arrive(0.0)
 
-    def stretches(self, steps: Steps, count: int) -> Iterator[Stretch]:
-        """The stretches of `count` periods, each with the control that acts in it."""
-        for k in range(count):
+    def sample(self, x: np.ndarray, t: float) -> np.ndarray:
+        """What acts on a plant in discrete time; called at each of its samples."""
+        k = round(t / self._period)
+        if 0 < k < self._count and abs(t - k * self._period) <= _ROUNDING * self._period:
+            self._take(self._command(x, t), t)
+        self._arrive(t)
+        return self.acting
+
+    def stretches(self, steps: Steps) -> Iterator[Stretch]:
+        """The stretches of a plant in continuous time, each with the control that acts in it."""
+        for k in range(self._count):
             start, end = tick(0.0, self._period, k), tick(0.0, self._period, k + 1)
             if k:
                 self._take(self._command(steps.state, start), start)
@@ -63,7 +71,7 @@ class Clock:
                 until = min([end, *(t for t, _ in self._waiting if t < end - slack)])
                 self._times.append(start)
                 self._values.append(self.acting)
-                yield Stretch(start, until, lambda x, t, u=self.acting: u)
+                yield Stretch(start, until, held(self.acting))
                 start = until
         self._times.append(end)
 
@@ -74,7 +82,7 @@ class Clock:
             times = [*times, tick(0.0, self._period, int(times[-1] / self._period) + 2)]
         values = np.stack(self._values).reshape(1, len(self._values), -1)
         if values.size == 0:
-            return Control(0, self._batch, None, lambda x, t: self.acting)
+            return Control(0, self._batch, None, held(self.acting))
         return of_plan(ControlTrajectory(np.array(times), values), self._m, self._batch)
 
     def _take(self, command: Any, t: float) -> None:

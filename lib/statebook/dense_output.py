@@ -104,6 +104,8 @@ class Steps:
     def add(self, piece: Any, y: np.ndarray) -> None:
         """Take a step: its dense output, and the flat state at its end."""
         self.time, self.state = piece.t, unflatten(y, self.state.shape, self._by_rows)
+        if piece.t == piece.t_old:  # LSODA at a singularity
+            return
         self._pieces.append(piece)
         self._ends.append(piece.t)
         self._bytes += 6 * y.nbytes

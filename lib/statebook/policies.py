@@ -20,6 +20,7 @@ from statebook.systems import System, as_system
 from statebook.times import interval_of
 
 Policy = Callable[[np.ndarray, float], np.ndarray]
+_FLOAT = np.dtype(float)
 _SMOOTH = 6  # delays after which the kink of a start is too smooth to be seen
 
 
@@ -83,7 +84,7 @@ class Control:
         origin = plan.breakpoints[k]
         first, *others = plan.coefficients[:, k].reshape(-1, self.m, *self.batch)
         if not others:
-            return lambda x, t: first
+            return held(first)
 
         def polynomial(x: np.ndarray, t: float) -> np.ndarray:
             value, since = first, t - origin
@@ -105,12 +106,12 @@ class Control:
         """The control that arrives `delay` later, and its switches; until then `before`."""
         first = np.reshape(before, (1, 1, -1))
         if self.plan is not None:
-            late = self.plan.between(start, end)
-            coefficients = np.zeros((len(late.coefficients), 1, first.size))
+            own = self.plan.between(start, end)
+            coefficients = np.zeros((len(own.coefficients), 1, first.size))
             coefficients[-1] = first[0]
             plan = ControlTrajectory(
-                np.concatenate([[start], late.breakpoints + delay]),
-                np.concatenate([coefficients, late.coefficients], axis=1),
+                np.concatenate([[start], own.breakpoints + delay]),
+                np.concatenate([coefficients, own.coefficients], axis=1),
             )
             return of_plan(plan, self.m, self.batch), np.empty(0)
 
@@ -127,6 +128,11 @@ class Control:
 
         kinks = start + delay * np.arange(1, _SMOOTH + 1)
         return Control(self.m, self.batch, None, policy), np.union1d(kinks, late[1:-1])
+
+
+def held(u: np.ndarray) -> Policy:
+    """The policy that returns one value."""
+    return lambda x, t: u
 
 
 def _before(policy: Policy, end: float) -> Policy:
@@ -202,7 +208,7 @@ def as_control(
     m, batch = system.m, x0.shape[1:]
     if m == 0 and not callable(u) and np.size(u if u is not None else []) == 0:
         nothing = np.empty((0, *batch))
-        return Control(0, batch, None, lambda x, t: nothing)
+        return Control(0, batch, None, held(nothing))
     if not isinstance(u, ControlTrajectory) and not callable(u):
         u = _plan_of(u, m, batch, times, sampled)
     if isinstance(u, ControlTrajectory):
@@ -212,8 +218,14 @@ def as_control(
         return of_plan(u, m, batch)
     function, t0 = u, float(times[0])
 
+    shape = (m,)
+
     def alone(x: np.ndarray, t: float) -> np.ndarray:
-        return shaped("u(x, t)", function(x.copy(), t), m, ())
+        value = function(x.copy(), t)
+        # What `shaped` does with most of them, without a call.
+        if type(value) is np.ndarray and value.shape == shape and value.dtype is _FLOAT:
+            return value
+        return shaped("u(x, t)", value, m, ())
 
     def together(x: np.ndarray, t: float) -> np.ndarray:
         return shaped("u(x, t)", function(x.copy(), t), m, batch)
@@ -271,8 +283,6 @@ def _check_span(u: ControlTrajectory, times: np.ndarray) -> None:
 
 def shaped(name: str, value: Any, m: int, batch: tuple[int, ...]) -> np.ndarray:
     """Check a control and bring it to the shape (m, *batch); it need not be finite."""
-    if type(value) is np.ndarray and value.shape == (m, *batch) and value.dtype == np.float64:
-        return value
     value = np.asarray(value)
     if value.dtype.kind not in "biuf":
         raise TypeError(f"{name} must be real numbers, got {value!r}")

@@ -10,7 +10,7 @@ import numpy as np
 from statebook.control_trajectory import ControlTrajectory
 from statebook.dense_output import DenseOutput, Steps
 from statebook.errors import DivergenceError
-from statebook.policies import Control, Stretch, of_plan
+from statebook.policies import Control, Stretch, held, of_plan
 from statebook.probes import arguments_of
 from statebook.solvers import SOLVERS
 from statebook.stepping import Flow, Solver, StoppedError, fixed_steps, iterate
@@ -54,27 +54,37 @@ def through(
         raise _divergence(system, stop, run, steps)
     if felt.is_policy and controls is not None and dense is not None and dense.curve:
         with np.errstate(all="ignore"):
-            _warn_of_contradiction(run, flow, solver)
+            _warn_of_contradiction(run, dense, controls, flow, solver)
     return run
 
 
 def iterated(
-    system: System, steps: Steps, solver: Solver, control: Control, delay: float, before: np.ndarray
+    system: System,
+    steps: Steps,
+    solver: Solver,
+    control: Control,
+    *,
+    lag: int = 0,
+    before: np.ndarray | None = None,
+    per_interval: bool = False,
 ) -> Trajectory:
-    """Run a system in discrete time; its controls are kept for all its samples."""
+    """Run a system in discrete time; the controls of all its samples are kept.
+
+    The control arrives `lag` samples later; until then, `before` acts.
+    """
     dt, start = float(system.dt or 1), steps.time
-    lag = round(delay / dt)
-    if abs(lag * dt - delay) > 1e-9 * dt:
-        raise ValueError(f"delay must be whole samples of dt = {dt:g}, got {delay:g}")
     flow = Flow(system, batch=steps.state.ndim == 2)
     applied: list[np.ndarray] = []
     stop = _attempt(lambda: iterate(flow, steps, control.policy, dt, lag, before, applied))
     states, times = _samples(steps)
     controls = plan = None
     if system.m:
-        picked = np.round((times - start) / dt).astype(int)
-        controls = np.stack([applied[k] for k in picked], axis=-1)
-        held = np.array([np.ravel(u) for u in applied[: picked[-1]]])
+        at = times[:-1] if per_interval else times
+        picked = np.round((at - start) / dt).astype(int)
+        controls = np.moveaxis(np.array(applied)[picked], 0, -1)
+        held = np.array(applied[: round((times[-1] - start) / dt)]).reshape(
+            -1, controls[..., 0].size
+        )
         if len(held) and np.isfinite(held).all():
             breaks = np.array([tick(start, dt, k) for k in range(len(held) + 1)])
             plan = of_plan(ControlTrajectory(breaks, held[None]), system.m, control.batch).plan
@@ -147,17 +157,17 @@ def _divergence(
     )
 
 
-def _warn_of_contradiction(run: Trajectory, flow: Flow, solver: Solver) -> None:
+def _warn_of_contradiction(
+    run: Trajectory, dense: DenseOutput, controls: np.ndarray, flow: Flow, solver: Solver
+) -> None:
     """Compare the dynamics under the returned controls with the slopes of the motion."""
-    slopes, lengths = run.dense.slopes(run.times)
+    slopes, lengths = dense.slopes(run.times)
     if run.states.ndim == 2 and flow.system.batched and not may_vary(flow.system):
-        rates = flow(run.states, lambda x, t: run.controls, run.times[0])
+        rates = flow(run.states, held(controls), run.times[0])
     else:
         rates = np.empty(run.states.shape)
         for k, t in enumerate(run.times):
-            rates[..., k] = flow(
-                run.states[..., k], lambda x, t, k=k: run.controls[..., k], float(t)
-            )
+            rates[..., k] = flow(run.states[..., k], held(controls[..., k]), float(t))
     size = np.abs(run.states).max(axis=-1, keepdims=True)
     rtol = min(_CONTRADICTION * solver.rtol, _LOOSE)
     allowed = _CONTRADICTION * solver.atol.reshape(-1, *[1] * (size.ndim - 1)) + rtol * size

@@ -13,7 +13,8 @@ from statebook.control_trajectory import ControlTrajectory
 from statebook.dense_output import Steps
 from statebook.errors import outside_domain
 from statebook.events import watches
-from statebook.policies import as_control, as_plan, at_start, example_input, shaped
+from statebook.models.base import Model
+from statebook.policies import Control, as_control, as_plan, at_start, example_input, shaped
 from statebook.probes import takes_batches
 from statebook.runge_kutta import METHODS, SEMI_IMPLICIT_EULER
 from statebook.runs import iterated, may_vary, through
@@ -25,6 +26,7 @@ from statebook.trajectory import Trajectory
 
 _FIXED_STEP = (*METHODS, SEMI_IMPLICIT_EULER)
 _SAMPLES = 201
+_EVENTS = f"events need continuous time and a method of {', '.join(SOLVERS)}"
 _MAX_STEPS = 1_000_000  # minutes to hours of computing
 
 
@@ -35,7 +37,7 @@ def simulate(
     *,
     duration: float | None = None,
     times: Any = None,
-    method: str = "RK45",
+    method: str | None = None,
     rtol: float = 1e-8,
     atol: Any = 1e-10,
     max_step: float | None = None,
@@ -67,10 +69,11 @@ def simulate(
     times : array, shape (T,), increasing [s], optional
         Instead of duration: the times wanted; x0 is the state at the first. In discrete time
         they are whole samples apart.
-    method : str
+    method : str, optional
         "RK45", "RK23", "DOP853", or for stiff systems "Radau", "BDF", "LSODA". Or a name in
         `METHODS` or "semi_implicit_euler": one step from each time to the next (or breakpoint),
-        and times are required. Ignored in discrete time.
+        and times are required. By default "RK45"; "DOP853" for a batch under no policy, whose
+        steps may be long. Ignored in discrete time.
     rtol : float > 0
         Relative tolerance of each state's error in a step of a SciPy solver.
     atol : float > 0 or array, shape (n,)
@@ -131,6 +134,8 @@ def simulate(
     if given is None and duration is None and isinstance(u, ControlTrajectory):
         start, duration = float(u.breakpoints[0]), u.duration
     known = _as_system(system, x0, example_input(system, u, x0, start, given), start)
+    if method is None:
+        method = "RK45" if x0.ndim == 1 or callable(u) else "DOP853"
     solver = _solver(method, rtol, atol, max_step, max_steps, len(x0))
     if method in _FIXED_STEP and given is None and not known.discrete:
         raise ValueError(f'method "{method}" steps from time to time: give times, not duration')
@@ -140,13 +145,14 @@ def simulate(
     delay = _validate.non_negative("delay", delay)
     switches = np.union1d(_validate.real_array("switches", switches, (None,)), [])
     if events is not None and (known.discrete or method in _FIXED_STEP):
-        raise ValueError(f"events need continuous time and a method of {', '.join(SOLVERS)}")
+        raise ValueError(_EVENTS)
     solver.events = watches(events, x0, start)
     first = before if delay else at_start("u(x0, t0)", control.policy, x0, start)
     known = _checked(known, x0, first, start)
     steps = Steps(x0, times, by_rows=solver.by_rows, all_kept=delay > 0)
     if known.discrete:
-        return iterated(known, steps, solver, control, delay, before)
+        lag = _require_whole("delay", delay, known)
+        return iterated(known, steps, solver, control, lag=lag, before=before)
     end = float(times[-1])
     if delay:
         if method in _FIXED_STEP:
@@ -178,14 +184,14 @@ def simulate_clocked(
     max_steps: float = _MAX_STEPS,
     events: Any = None,
 ) -> Trajectory:
-    """Simulate a continuous plant under a sampled controller.
+    """Simulate a plant under a sampled controller.
 
     At each tick t_k = k period the policy sees x(t_k); its control is held until the next.
 
     Parameters
     ----------
     system : system
-        Whatever as_system takes, in continuous time; a function f(x, u) too.
+        Whatever as_system takes; a function f(x, u) too.
     x0 : array, shape (n,) or (n, N)
     policy : callable, number, array or ControlTrajectory
         u(x, t), called once a tick, in order of time, so that it may have a memory; it sees a
@@ -229,8 +235,6 @@ def simulate_clocked(
     delay = _validate.non_negative("delay", delay)
     x0, policy = _state(x0), as_plan(policy)
     solver = _solver(method, rtol, atol, max_step, max_steps, len(x0))
-    if events is not None and method in _FIXED_STEP:
-        raise ValueError(f"events need a method of {', '.join(SOLVERS)}")
     count = int(np.ceil(duration / period * (1 - 1e-12)))
 
     def command(x: np.ndarray, t: float) -> Any:
@@ -241,23 +245,23 @@ def simulate_clocked(
     first = at_start("policy(x0, 0)", command, x0, 0.0)
     alone = first.ndim == 1 and first.shape == x0.shape[1:] and first.size > 1
     known = _as_system(system, x0, first[:1] if alone else np.atleast_1d(first), 0.0)
-    if known.discrete:
-        raise ValueError(
-            f"simulate_clocked takes a plant in continuous time, got dt = {known.dt}: one in "
-            "discrete time has a clock of its own, use simulate"
-        )
     m, batch = known.m, x0.shape[1:]
     before = _control("u_before", u_before, m, batch)
-    clock = Clock(command, period, delay, m, batch, before, first)
+    clock = Clock(command, period, count, delay, before, first)
     known = _checked(known, x0, clock.acting, 0.0)
+    if events is not None and (known.discrete or method in _FIXED_STEP):
+        raise ValueError(_EVENTS)
     solver.events = watches(events, x0, 0.0)
     times = np.array([tick(0.0, period / samples, k) for k in range(count * samples + 1)])
     times[::samples] = [tick(0.0, period, k) for k in range(count + 1)]
     steps = Steps(x0, times, by_rows=solver.by_rows)
+    if known.discrete:
+        _require_whole("period / samples", period / samples, known)
+        control = Control(m, batch, None, clock.sample)
+        return iterated(known, steps, solver, control, per_interval=True)
     if max_step is None and may_vary(known):
         solver.stay_within(times)
-    stretches = clock.stretches(steps, count)
-    return through(known, steps, solver, stretches, clock.control, per_interval=True)
+    return through(known, steps, solver, clock.stretches(steps), clock.control, per_interval=True)
 
 
 def _state(x0: Any) -> np.ndarray:
@@ -282,6 +286,8 @@ def _as_system(system: Any, x0: np.ndarray, u: np.ndarray | None, t: float) -> S
         raise type(error)(words) from None
     if known.n != len(x0):
         raise ValueError(f"x0 must have n = {known.n} rows for {known.name}, got {x0.shape}")
+    if isinstance(system, Model):  # the checks of its dynamics take longer than the equations
+        return replace(known, rate=lambda x, u, t: system.rate(x, u))
     return known
 
 
@@ -332,6 +338,13 @@ def _checked(system: System, x0: np.ndarray, u: np.ndarray, t: float) -> System:
 
     agrees = takes_batches(rate, x0, u, alone=rate, rtol=1e-12)
     return system if agrees else replace(system, batched=False)
+
+
+def _require_whole(name: str, span: float, system: System) -> int:
+    dt = float(system.dt or 1)
+    if abs(span - round(span / dt) * dt) > 1e-9 * max(dt, span):
+        raise ValueError(f"{name} must be whole samples of dt = {dt:g}, got {span:g}")
+    return round(span / dt)
 
 
 def _times(given: np.ndarray | None, duration: Any, start: float, system: System) -> np.ndarray:

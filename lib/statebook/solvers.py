@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -28,17 +29,12 @@ class _ByColumns:
     def __init__(self, *args: Any, columns: int, **options: Any) -> None:
         super().__init__(*args, **options)
         self.columns = columns
-        self.fun = args[0]  # it returns new arrays of floats: no need to convert and count
-
-    def dense_output(self: Any) -> Any:
-        """The step as a polynomial in the time since its start."""
-        Q, y_old = self.P.T.dot(self.K), self.y_old
-        Q /= (self.t - self.t_old) ** np.arange(len(Q))[:, None]
-        return StepPolynomial(self.t_old, self.t, np.concatenate([Q[::-1], y_old[None]]))
+        self._nodes = self.C.tolist()
 
     def _step_impl(self: Any) -> tuple[bool, str | None]:
-        t, y, K, last = self.t, self.y, self.K, self.n_stages
-        min_step = 10 * (np.nextafter(t, np.inf) - t)
+        t, y, K, last = float(self.t), self.y, self.K, self.n_stages
+        fun, nodes = self.fun, self._nodes
+        min_step = 10 * (math.nextafter(t, math.inf) - t)
         h_abs, rejected = max(min(self.h_abs, self.max_step), min_step), False
         while h_abs >= min_step:
             t_new = min(t + h_abs, self.t_bound)
@@ -47,9 +43,9 @@ class _ByColumns:
             K[0] = self.f
             for i in range(1, last):
                 stage = y + weights[i, :i].dot(K[:i])
-                K[i] = self.fun(min(t + self.C[i] * h, t_new), stage)
+                K[i] = fun(min(t + nodes[i] * h, t_new), stage)
             y_new = y + (h * self.B).dot(K[:last])
-            K[last] = self.fun(t_new, y_new)
+            K[last] = fun(t_new, y_new)
             scale = self.atol + np.maximum(np.abs(y), np.abs(y_new)) * self.rtol
             error = self._worst(h, scale)  # NaN where the dynamics were
             if error < 1:
@@ -59,7 +55,7 @@ class _ByColumns:
                 self.t, self.y, self.f = t_new, y_new, K[last].copy()
                 return True, None
             factor = 0.0
-            if np.isfinite(error):
+            if math.isfinite(error):
                 factor = _SAFETY * error**self.error_exponent
             else:
                 self._tell(t, y, weights, t_new)
@@ -86,18 +82,26 @@ class _ByColumns:
         return float(squares.sum(axis=0).max()) / len(squares)
 
 
-class _RK45(_ByColumns, scipy.integrate.RK45):
+class _Polynomial(_ByColumns):
+    """A step that is known as a polynomial in the time since its start."""
+
+    def dense_output(self: Any) -> StepPolynomial:
+        powers = np.arange(self.P.shape[1])[::-1, None]
+        coefficients = np.empty((len(powers) + 1, self.n))
+        np.dot(self.P.T[::-1] / self.h_previous**powers, self.K, out=coefficients[:-1])
+        coefficients[-1] = self.y_old
+        return StepPolynomial(self.t_old, self.t, coefficients)
+
+
+class _RK45(_Polynomial, scipy.integrate.RK45):
     pass
 
 
-class _RK23(_ByColumns, scipy.integrate.RK23):
+class _RK23(_Polynomial, scipy.integrate.RK23):
     pass
 
 
 class _DOP853(_ByColumns, scipy.integrate.DOP853):
-    def dense_output(self: Any) -> Any:
-        return scipy.integrate.OdeSolver.dense_output(self)
-
     def _worst(self: Any, h: float, scale: np.ndarray) -> float:
         fifth, third = self.E5.dot(self.K) / scale, self.E3.dot(self.K) / scale
         if self.columns > 1:  # the same for each column by itself

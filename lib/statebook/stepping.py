@@ -12,7 +12,7 @@ from statebook.dense_output import Steps, unflatten
 from statebook.errors import outside_domain
 from statebook.events import Event, Watch
 from statebook.integration import step_of
-from statebook.policies import Policy, Stretch
+from statebook.policies import Policy, Stretch, held
 from statebook.solvers import EXPLICIT, start_solver
 from statebook.systems import System
 from statebook.times import tick
@@ -43,7 +43,7 @@ class Flow:
         self._rate = self._by_columns if batch and not system.batched else system.rate
 
     def __call__(self, x: np.ndarray, policy: Policy, t: float) -> np.ndarray:
-        """Evaluate the dynamics; a new array of floats."""
+        """Evaluate the dynamics; it may be the function's own buffer."""
         try:
             u, value = None, None
             u = policy(x, t)
@@ -51,9 +51,16 @@ class Flow:
         except Exception as error:
             return self._failed(error, x, "the dynamics" if u is not None else "u(x, t)", t)
         if value.shape != x.shape or value.dtype.kind not in "biuf":
+            self._refuse(value, x, u, t)
+        return value
+
+    def _refuse(self, value: Any, x: np.ndarray, u: np.ndarray, t: float) -> None:
+        try:
             self.system.dynamics(x, u, t)  # raises the error that explains it
             raise TypeError(f"{self.system.name} must return real numbers, got {value!r}")
-        return value.astype(float)  # a copy: it may be the function's own buffer
+        except (TypeError, ValueError) as error:
+            self.error = error
+            raise
 
     def control(self, policy: Policy, x: np.ndarray, t: float) -> np.ndarray:
         """Evaluate the control, NaN where it has no value."""
@@ -64,8 +71,8 @@ class Flow:
             return np.full((self.system.m, *x.shape[1:]), np.nan)
 
     def checked(self, x: np.ndarray, policy: Policy, t: float) -> np.ndarray:
-        """Evaluate the dynamics; note the trouble where they are not finite."""
-        value = self(x, policy, t)
+        """Evaluate the dynamics, as new floats; note the trouble where they are not finite."""
+        value = self(x, policy, t).astype(float)
         if not np.isfinite(value).all():
             self.explain(x, policy, t)
         return value
@@ -106,7 +113,7 @@ def iterate(
     policy: Policy,
     dt: float,
     lag: int,
-    before: np.ndarray,
+    before: np.ndarray | None,
     applied: list[np.ndarray],
 ) -> None:
     """Iterate a map to the last of the times.
@@ -126,12 +133,12 @@ def iterate(
     for k in range(wanted[-1] + 1):
         x, t = steps.state, tick(start, dt, k)
         commands.append(flow.control(policy, x, t))
-        u = commands[k - lag] if k >= lag else before
+        u = commands[k - lag] if k >= lag or before is None else before
         applied.append(u)
         if k == wanted[-1]:
             return
         flow.trouble = ""
-        x_next = flow.checked(x, lambda x, t, u=u: u, t)
+        x_next = flow.checked(x, held(u), t)
         if not np.isfinite(x_next).all():
             raise StoppedError(flow.trouble, t, x)
         taken = wanted[steps.taken] == k + 1
@@ -182,7 +189,6 @@ class Solver:
     max_steps: float
     events: list[Watch] = field(default_factory=list)
     found: list[Event] = field(default_factory=list)
-    _gaps: np.ndarray | None = None
     _times: np.ndarray | None = None
 
     @property
@@ -193,28 +199,25 @@ class Solver:
     def stay_within(self, times: np.ndarray) -> np.ndarray:
         """Let no step be longer than the distance of the times there; return its switches."""
         gaps = np.diff(times)
-        if len(gaps) == 0:
-            return gaps
-        if np.ptp(gaps) <= 1e-9 * gaps[0]:
-            self.max_step = min(self.max_step, gaps.max())
-        elif self.method == "LSODA":  # its longest step is fixed from start to start
-            self._times, self._gaps = times, gaps
-            return times
-        else:
-            self._times, self._gaps = times, gaps
+        if len(gaps) and np.ptp(gaps) <= 1e-9 * gaps[0]:
+            self.max_step = min(self.max_step, float(gaps.max()))
+        elif len(gaps):
+            self._times = times
+            if self.method == "LSODA":  # its longest step is fixed from start to start
+                return times
         return times[:0]
 
     def _longest(self, t: float) -> float:
         """The longest step from a time."""
-        if self._gaps is None:
+        if self._times is None:
             return self.max_step
-        k = min(int(np.searchsorted(self._times, t, side="right")) - 1, len(self._gaps) - 1)
-        after = self._gaps[min(k + 1, len(self._gaps) - 1)]
-        return min(self.max_step, self._gaps[k], max(self._times[k + 1] - t, after))
+        k = int(np.searchsorted(self._times[:-1], t, side="right")) - 1
+        here, *after = np.diff(self._times[k : k + 3]).tolist()
+        return min(self.max_step, here, max(self._times[k + 1] - t, *after or [here]))
 
     def run(self, flow: Flow, steps: Steps, stretches: Iterable[Stretch], last: float) -> None:
         """Go through the stretches, to the last time or a terminal event."""
-        shape = steps.state.shape
+        shape, batch = steps.state.shape, steps.state.ndim == 2
         atol = np.broadcast_to(self.atol.reshape(-1, *[1] * (len(shape) - 1)), shape)
         solver, longest = None, 0.0
         count, mark = 0, steps.time
@@ -224,7 +227,7 @@ class Solver:
                 return self._flat(flow.checked(unflatten(y, shape, self.by_rows), policy, t))
 
             def fast(t: float, y: np.ndarray, policy: Policy = policy) -> np.ndarray:
-                return flow(y.reshape(shape), policy, t).ravel()
+                return flow(y.reshape(shape), policy, t).ravel() if batch else flow(y, policy, t)
 
             def explain(t: float, y: np.ndarray, policy: Policy = policy) -> None:
                 flow.explain(y.reshape(shape), policy, t)
@@ -236,12 +239,12 @@ class Solver:
             if not np.isfinite(slope).all():
                 raise StoppedError(flow.trouble, start, steps.state)
             if solver is not None and self.by_rows:
-                solver.fun, solver.f, solver.t_bound, solver.status = fast, slope, end, "running"
+                solver.f, solver.t_bound, solver.status = slope, end, "running"
                 solver.h_abs = max(solver.h_abs, longest)
             else:
                 solver = start_solver(
                     self.method,
-                    fast if self.by_rows else rate,
+                    rate,
                     start,
                     y,
                     end,
@@ -251,7 +254,8 @@ class Solver:
                     max_step=self._longest(start),
                     first_step=min(longest, end - start) or None,
                 )
-            solver.explain = explain
+            if self.by_rows:  # their steps copy at once, and ask for the trouble
+                solver.fun, solver.explain = fast, explain
             longest = 0.0
             while solver.status == "running":
                 flow.trouble = ""

@@ -376,7 +376,7 @@ class Trajectory:
             raise ValueError(f"state must be below n = {self.n}, or a label, got {state}")
         times = self.times
         if self.dense is not None:
-            times = np.union1d(times, np.linspace(*times[[0, -1]], _FINE))
+            times = np.union1d(times, np.linspace(times[0], times[-1], _FINE))
         values = self(times)[state]
         step = (values[-1] if final is None else _validate.number("final", final)) - values[0]
         if step == 0:
