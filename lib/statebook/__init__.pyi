@@ -13,6 +13,9 @@ from .controllers.open_loop import bang_bang as bang_bang
 from .controllers.swing_up import CartPoleSwingUp as CartPoleSwingUp
 from .controllers.swing_up import SwingUp as SwingUp
 from .controllers.swing_up import cart_force as cart_force
+from .delays import DelayMargin as DelayMargin
+from .delays import delay_margin as delay_margin
+from .delays import with_input_delay as with_input_delay
 from .derivatives import InexactDerivativeWarning as InexactDerivativeWarning
 from .equilibrium import Equilibrium as Equilibrium
 from .equilibrium import find_equilibrium as find_equilibrium
@@ -24,6 +27,7 @@ from .errors import NotAnEquilibriumError as NotAnEquilibriumError
 from .grading.exercise import exercise as exercise
 from .grading.grade import Grade as Grade
 from .grading.grade import grade as grade
+from .events import Event as Event
 from .integration import integrate as integrate
 from .integration import integrate_euler as integrate_euler
 from .linearization import jacobians as jacobians

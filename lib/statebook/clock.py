@@ -77,13 +77,15 @@ class Clock:
 
     def control(self) -> Control:
         """What acted until now, as a plan."""
-        times = self._times
-        if len(times) == len(self._values):  # the run ended within a stretch
+        count = next((k for k, u in enumerate(self._values) if not np.isfinite(u).all()), None)
+        values = self._values[:count]
+        if not values or self._m == 0:
+            return Control(self._m, self._batch, None, held(self.acting))
+        times = self._times[: len(values) + 1]
+        if len(times) == len(values):  # the run ended within a stretch
             times = [*times, tick(0.0, self._period, int(times[-1] / self._period) + 2)]
-        values = np.stack(self._values).reshape(1, len(self._values), -1)
-        if values.size == 0:
-            return Control(0, self._batch, None, held(self.acting))
-        return of_plan(ControlTrajectory(np.array(times), values), self._m, self._batch)
+        coefficients = np.stack(values).reshape(1, len(values), -1)
+        return of_plan(ControlTrajectory(np.array(times), coefficients), self._m, self._batch)
 
     def _take(self, command: Any, t: float) -> None:
         value = shaped("policy(x, t)", command, self._m, self._batch).copy()

@@ -139,7 +139,7 @@ class ControlTrajectory:
         """
         start, end = within("start, end", [start, end], self.breakpoints)
         breaks = self.breakpoints
-        first = int(interval_of(start, breaks))
+        first = int(interval_of(np.float64(start), breaks))
         last = max(first, int(np.searchsorted(breaks, end)) - 1)
         breaks = np.concatenate([[start], breaks[first + 1 : last + 1], [end]])
         coefficients = self.coefficients[:, first : last + 1].copy()

@@ -108,7 +108,7 @@ class Steps:
             return
         self._pieces.append(piece)
         self._ends.append(piece.t)
-        self._bytes += 6 * y.nbytes
+        self._bytes += 6 * y.nbytes + 500
         if self._bytes > _MOST and not self._all_kept:
             self.settle()
             self._pieces, self._ends = self._pieces[-1:], self._ends[-1:]
@@ -124,8 +124,9 @@ class Steps:
         count = int(np.searchsorted(self.times, t))
         self.state, self.time = self.at(t), t
         self.times = np.append(self.times[:count], t)
-        if self.taken > count:
-            self.samples, self.taken = [np.concatenate(self.samples, -1)[..., :count]], count
+        self.settle()
+        before = np.concatenate(self.samples, axis=-1)[..., :count]
+        self.samples, self.taken = [before, self.state[..., None]], count + 1
 
     def settle(self) -> DenseOutput | None:
         """Take the samples within the steps; return the dense output of the run, if it has one."""

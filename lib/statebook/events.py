@@ -104,6 +104,8 @@ def watches(events: Any, x: np.ndarray, t: float) -> list[Watch]:
         )
     if callable(events):
         events = [events]
+    if not isinstance(events, Mapping | list | tuple):
+        raise TypeError(f"events must be a function e(x, t), or several, got {events!r}")
     named = events.items() if isinstance(events, Mapping) else ((None, e) for e in events)
     result = []
     for label, function in named:

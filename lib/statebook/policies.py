@@ -151,7 +151,8 @@ def of_plan(plan: ControlTrajectory, m: int, batch: tuple[int, ...]) -> Control:
 def at_start(name: str, function: Callable[..., Any], x: np.ndarray, t: float) -> np.ndarray:
     """Evaluate a function of x and t where a run starts: finite and real, or an error."""
     try:
-        value = function(x.copy(), t)
+        with np.errstate(all="ignore"):
+            value = function(x.copy(), t)
     except Exception as error:
         if not outside_domain(error):
             raise
@@ -181,8 +182,17 @@ def example_input(
     if value.ndim == 2 and x0.ndim == 1:
         return value[:, 0]
     plain = callable(system) and not (hasattr(system, "dynamics") or hasattr(system, "nstates"))
-    samples = times is not None and 1 < len(times) == value.size and value.ndim == 1
-    return value[:1] if plain and samples and _reads_one(system, x, value) else value
+    if not plain or value.ndim > 1 or value.size < 2:
+        return value
+    samples = times is not None and len(times) == value.size
+    if (samples or value.size > x.size) and _reads_one(system, x, value):
+        if not samples:
+            raise ValueError(
+                f"u has {value.size} entries, but the function reads only the first: samples of "
+                "a control go with times= of the same length, a held one has shape (1,)"
+            )
+        return value[:1]
+    return value
 
 
 def _reads_one(f: Callable[..., Any], x: np.ndarray, u: np.ndarray) -> bool:

@@ -26,7 +26,7 @@ class _ByColumns:
     have sqrt(N) times the tolerance.
     """
 
-    def __init__(self, *args: Any, columns: int, **options: Any) -> None:
+    def __init__(self: Any, *args: Any, columns: int, **options: Any) -> None:
         super().__init__(*args, **options)
         self.columns = columns
         self._nodes = self.C.tolist()
@@ -93,15 +93,15 @@ class _Polynomial(_ByColumns):
         return StepPolynomial(self.t_old, self.t, coefficients)
 
 
-class _RK45(_Polynomial, scipy.integrate.RK45):
+class _RK45(_Polynomial, scipy.integrate.RK45):  # type: ignore[misc]
     pass
 
 
-class _RK23(_Polynomial, scipy.integrate.RK23):
+class _RK23(_Polynomial, scipy.integrate.RK23):  # type: ignore[misc]
     pass
 
 
-class _DOP853(_ByColumns, scipy.integrate.DOP853):
+class _DOP853(_ByColumns, scipy.integrate.DOP853):  # type: ignore[misc]
     def _worst(self: Any, h: float, scale: np.ndarray) -> float:
         fifth, third = self.E5.dot(self.K) / scale, self.E3.dot(self.K) / scale
         if self.columns > 1:  # the same for each column by itself

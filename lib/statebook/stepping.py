@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
@@ -18,6 +19,11 @@ from statebook.systems import System
 from statebook.times import tick
 
 _CHECK_EVERY = 5_000  # steps
+_MANY = 1_000_000  # steps: minutes to hours of computing
+_HINT = (
+    "is the control discontinuous in x (sample it with simulate_clocked), or the system stiff "
+    '(method="LSODA")? Where it is just long, give max_steps='
+)
 
 
 class StoppedError(Exception):
@@ -82,14 +88,12 @@ class Flow:
         if not np.isfinite(x).all():
             self.trouble = self.trouble or f"the state is not finite after t = {t:.6g}"
             return
+        u = self.control(policy, x, t)
+        if not np.isfinite(u).all():
+            self.trouble = self.trouble or f"u(x, t) is not finite at t = {t:.6g}"
+            return
         self.trouble = f"the dynamics are not finite at t = {t:.6g}"
-        try:
-            if not np.isfinite(policy(x, t)).all():
-                self.trouble = f"u(x, t) is not finite at t = {t:.6g}"
-                return
-            self._rate(x, policy(x, t), t)
-        except Exception as error:
-            self._failed(error, x, "the control or the dynamics", t)
+        self(x, held(u), t)
 
     def _by_columns(self, x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
         rates = [self.system.rate(*column, t) for column in zip(x.T, u.T, strict=True)]
@@ -288,13 +292,18 @@ class Solver:
 
     def _check_pace(self, steps: Steps, last: float, count: int, mark: float) -> None:
         length = (steps.time - mark) / _CHECK_EVERY
-        if last - steps.time > length * (self.max_steps - count):
+        ahead = (last - steps.time) / length if length else np.inf
+        if count + ahead > self.max_steps:
             raise StoppedError(
-                f"at steps of {length:.0e} s it would take more than max_steps = "
-                f"{self.max_steps:g}; is the control discontinuous in x (sample it), or the "
-                'system stiff (method="LSODA")? Else allow more',
+                f"with steps of {length:.0e} s it would take more than max_steps = "
+                f"{self.max_steps:g}; {_HINT}",
                 steps.time,
                 steps.state,
+            )
+        if ahead > _MANY and count == _CHECK_EVERY:
+            warnings.warn(
+                f"with steps of {length:.0e} s it will take some {ahead:.0e} of them; {_HINT}",
+                stacklevel=6,
             )
 
 
