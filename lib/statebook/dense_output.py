@@ -119,6 +119,11 @@ class Steps:
         k = min(bisect.bisect_left(self._ends, t), len(self._ends) - 1)
         return unflatten(self._pieces[k](t), self.state.shape, self._by_rows)
 
+    def times_between(self, start: float, end: float) -> list[float]:
+        """The times wanted between two times."""
+        first, last = np.searchsorted(self.times, start, "right"), np.searchsorted(self.times, end)
+        return self.times[first:last].tolist()
+
     def end_at(self, t: float) -> None:
         """End the run at a time within the last step."""
         count = int(np.searchsorted(self.times, t))

@@ -27,7 +27,6 @@ from statebook.trajectory import Trajectory
 _FIXED_STEP = (*METHODS, SEMI_IMPLICIT_EULER)
 _SAMPLES = 201
 _EVENTS = f"events need continuous time and a method of {', '.join(SOLVERS)}"
-_MAX_STEPS = 1e9  # days of computing
 
 
 def simulate(
@@ -41,7 +40,7 @@ def simulate(
     rtol: float = 1e-8,
     atol: Any = 1e-10,
     max_step: float | None = None,
-    max_steps: float = _MAX_STEPS,
+    max_steps: float | None = None,
     switches: Any = (),
     events: Any = None,
     delay: float = 0.0,
@@ -82,15 +81,16 @@ def simulate(
         Longest step of a SciPy solver. By default, under a policy or for a system that may vary
         with time, the distance of the times wanted: no jump that lasts longer is stepped over.
         For shorter pulses give max_step, or their times as switches.
-    max_steps : float > 0
+    max_steps : float > 0, optional
         Give up where a run would need more steps (looked at every 5,000); np.inf never does.
-        By default 1e9, where the steps must have collapsed; more than 1e6 ahead are announced.
+        By default it gives up where steps collapse, and more than 1e6 to come are announced.
     switches : array, shape (K,) [s]
         Times at which a policy or the system jumps: the solver is started anew there.
     events : function, list or dict of functions, optional
         As in SciPy, functions e(x, t), or e(t, y), that pass zero at an event, with attributes
-        ``terminal`` (bool or count) and ``direction``. What they found, with the dict's keys or
-        the functions' names, is in ``.events``; a terminal event ends the trajectory.
+        ``terminal`` (bool or count) and ``direction``; looked at in each step and sample. What
+        they found, with the dict's keys or the functions' names, is in ``.events``; a terminal
+        event ends the trajectory.
     delay : float >= 0 [s]
         Input delay: the control at t is that of t - delay. Exact: the past is the solver's own.
     u_before : number or array, shape (m,) or (m, N), optional
@@ -182,7 +182,7 @@ def simulate_clocked(
     rtol: float = 1e-8,
     atol: Any = 1e-10,
     max_step: float | None = None,
-    max_steps: float = _MAX_STEPS,
+    max_steps: float | None = None,
     events: Any = None,
 ) -> Trajectory:
     """Simulate a plant under a sampled controller.
@@ -305,7 +305,7 @@ def _solver(method: str, rtol: Any, atol: Any, max_step: Any, max_steps: Any, n:
         _validate.positive("rtol", rtol),
         atol,
         np.inf if max_step is None else _limit("max_step", max_step),
-        _limit("max_steps", max_steps),
+        None if max_steps is None else _limit("max_steps", max_steps),
     )
 
 

@@ -20,6 +20,8 @@ from statebook.times import tick
 
 _CHECK_EVERY = 5_000  # steps
 _MANY = 1_000_000  # steps: minutes to hours of computing
+_HOPELESS = 1e9  # steps: days
+_COLLAPSED = 0.01  # of a length that steps once had: the control chatters
 _HINT = (
     "is the control discontinuous in x (sample it with simulate_clocked), or the system stiff "
     '(method="LSODA")? Where it is just long, give max_steps='
@@ -178,8 +180,8 @@ class Solver:
     ----------
     max_step : float
         The longest step.
-    max_steps : float
-        When so many steps would be needed it gives up.
+    max_steps : float or None
+        When so many steps would be needed it gives up; None is when they have collapsed.
     events : list of Watch
         What is watched at each step.
     found : list of Event
@@ -190,10 +192,11 @@ class Solver:
     rtol: float
     atol: np.ndarray
     max_step: float
-    max_steps: float
+    max_steps: float | None
     events: list[Watch] = field(default_factory=list)
     found: list[Event] = field(default_factory=list)
     _times: np.ndarray | None = None
+    _pace: float = 0.0
 
     @property
     def by_rows(self) -> bool:
@@ -281,8 +284,12 @@ class Solver:
 
     def _watch(self, steps: Steps, start: float) -> bool:
         """Look for events in the last step; whether a terminal one ended the run."""
-        passed = [watch for watch in self.events if watch.passed(steps.state, steps.time)]
-        located = [(watch.locate(steps.at, start, steps.time), watch) for watch in passed]
+        located = []
+        # At the samples too, or a step could pass zero and return.
+        for t in [*steps.times_between(start, steps.time), steps.time]:
+            x = steps.at(t)
+            located += [(w.locate(steps.at, start, t), w) for w in self.events if w.passed(x, t)]
+            start = t
         for event, watch in sorted(located, key=lambda pair: pair[0].time):
             self.found.append(event)
             if watch.ends():
@@ -293,10 +300,13 @@ class Solver:
     def _check_pace(self, steps: Steps, last: float, count: int, mark: float) -> None:
         length = (steps.time - mark) / _CHECK_EVERY
         ahead = (last - steps.time) / length if length else np.inf
-        if count + ahead > self.max_steps:
+        self._pace = max(self._pace, length)
+        most = self.max_steps
+        if most is None:
+            most = _MANY if length < _COLLAPSED * self._pace else _HOPELESS
+        if count + ahead > most:
             raise StoppedError(
-                f"with steps of {length:.0e} s it would take more than max_steps = "
-                f"{self.max_steps:g}; {_HINT}",
+                f"with steps of {length:.0e} s it would take more than {most:g} of them; {_HINT}",
                 steps.time,
                 steps.state,
             )
