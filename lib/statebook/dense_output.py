@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bisect
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -12,21 +12,22 @@ import scipy
 _MOST = 2**28  # bytes of steps that are kept
 
 
-@dataclass(frozen=True, eq=False)
-class StepPolynomial:
-    """The states of a step, as a polynomial of the time since its start."""
+class StepPolynomial(NamedTuple):
+    """The states of a step: y_old + s sum_j Q_j (s / h)^j, s the time since its start."""
 
     t_old: float
     t: float
-    coefficients: np.ndarray  # (degree + 1, size), highest power first
+    y_old: np.ndarray
+    Q: np.ndarray  # (degree, size)
 
     def __call__(self, t: Any) -> np.ndarray:
         """Return the flat states at times: (size,) or (size, T)."""
         since = np.asarray(t - self.t_old)[..., None]
-        value = 0.0 * since + self.coefficients[0]
-        for coefficient in self.coefficients[1:]:
-            value = value * since + coefficient
-        return value.T
+        share = since / (self.t - self.t_old)
+        value = 0.0 * since
+        for row in self.Q[::-1]:
+            value = value * share + row
+        return (value * since + self.y_old).T
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,8 +140,10 @@ class Steps:
             return None
         ends = [self._pieces[0].t_old, *self._ends]
         if isinstance(self._pieces[0], StepPolynomial):
-            coefficients = np.stack([piece.coefficients for piece in self._pieces], axis=1)
-            curve = scipy.interpolate.PPoly(coefficients, ends)
+            Q = np.array([piece.Q for piece in self._pieces]).swapaxes(0, 1)
+            Q /= np.diff(ends)[:, None] ** np.arange(len(Q))[:, None, None]
+            y_old = np.array([piece.y_old for piece in self._pieces])[None]
+            curve = scipy.interpolate.PPoly(np.concatenate([Q[::-1], y_old]), ends)
         else:
             curve = scipy.integrate.OdeSolution(ends, self._pieces)
         dense = DenseOutput(curve, self.state.shape, self._by_rows)

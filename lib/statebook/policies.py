@@ -73,26 +73,17 @@ class Control:
         slack = 1e-12 * max(abs(start), abs(end), end - start)
         inside = marks[(marks > start + slack) & (marks < end - slack)]
         inside = inside[np.diff(inside, prepend=start) > slack]
-        for a, b in itertools.pairwise([start, *inside.tolist(), end]):
-            if plan is not None:
-                k = int(interval_of(np.float64((a + b) / 2), plan.breakpoints))
-                yield Stretch(a, b, self._piece(plan, k))
-            else:
+        cuts = np.array([start, *inside.tolist(), end])
+        ends = itertools.pairwise(cuts.tolist())
+        if plan is None:
+            for a, b in ends:
                 yield Stretch(a, b, self.policy if b == end else _before(self.policy, b))
-
-    def _piece(self, plan: ControlTrajectory, k: int) -> Policy:
-        origin = plan.breakpoints[k]
-        first, *others = plan.coefficients[:, k].reshape(-1, self.m, *self.batch)
-        if not others:
-            return held(first)
-
-        def polynomial(x: np.ndarray, t: float) -> np.ndarray:
-            value, since = first, t - origin
-            for coefficient in others:
-                value = value * since + coefficient
-            return value
-
-        return polynomial
+            return
+        pieces = interval_of((cuts[:-1] + cuts[1:]) / 2, plan.breakpoints).tolist()
+        shape = (len(plan.breakpoints) - 1, -1, self.m, *self.batch)
+        coefficients = plan.coefficients.swapaxes(0, 1).reshape(shape)
+        for (a, b), k in zip(ends, pieces, strict=True):
+            yield Stretch(a, b, _polynomial(coefficients[k], float(plan.breakpoints[k])))
 
     def delayed(
         self,
@@ -133,6 +124,21 @@ class Control:
 def held(u: np.ndarray) -> Policy:
     """The policy that returns one value."""
     return lambda x, t: u
+
+
+def _polynomial(coefficients: np.ndarray, origin: float) -> Policy:
+    """The policy that is a polynomial of the time, highest power first."""
+    first, *others = coefficients
+    if not others:
+        return held(first)
+
+    def policy(x: np.ndarray, t: float) -> np.ndarray:
+        value, since = first, t - origin
+        for coefficient in others:
+            value = value * since + coefficient
+        return value
+
+    return policy
 
 
 def _before(policy: Policy, end: float) -> Policy:

@@ -86,11 +86,7 @@ class _Polynomial(_ByColumns):
     """A step that is known as a polynomial in the time since its start."""
 
     def dense_output(self: Any) -> StepPolynomial:
-        powers = np.arange(self.P.shape[1])[::-1, None]
-        coefficients = np.empty((len(powers) + 1, self.n))
-        np.dot(self.P.T[::-1] / self.h_previous**powers, self.K, out=coefficients[:-1])
-        coefficients[-1] = self.y_old
-        return StepPolynomial(self.t_old, self.t, coefficients)
+        return StepPolynomial(self.t_old, self.t, self.y_old, self.P.T.dot(self.K))
 
 
 class _RK45(_Polynomial, scipy.integrate.RK45):  # type: ignore[misc]
