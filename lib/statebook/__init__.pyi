@@ -24,10 +24,10 @@ from .errors import EquilibriumNotFoundError as EquilibriumNotFoundError
 from .errors import InfeasiblePathError as InfeasiblePathError
 from .errors import KinkError as KinkError
 from .errors import NotAnEquilibriumError as NotAnEquilibriumError
+from .events import Event as Event
 from .grading.exercise import exercise as exercise
 from .grading.grade import Grade as Grade
 from .grading.grade import grade as grade
-from .events import Event as Event
 from .integration import integrate as integrate
 from .integration import integrate_euler as integrate_euler
 from .linearization import jacobians as jacobians

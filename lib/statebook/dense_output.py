@@ -30,6 +30,39 @@ class StepPolynomial(NamedTuple):
         return (value * since + self.y_old).T
 
 
+class StepPolynomials(NamedTuple):
+    """The polynomials of the steps of a run."""
+
+    ts: np.ndarray  # ends of the steps, (S + 1,)
+    y_old: np.ndarray  # (S, size)
+    Q: np.ndarray  # (S, degree, size)
+
+    def __call__(self, t: np.ndarray) -> np.ndarray:
+        """Return the flat states (size, T) at times (T,)."""
+        k, lengths = step_at(t, self.ts)
+        since = (t - self.ts[k])[:, None]
+        value = self._sum(k, since / lengths[:, None], np.ones(self.Q.shape[1]))
+        return (value * since + self.y_old[k]).T
+
+    def slopes(self, t: np.ndarray) -> np.ndarray:
+        """Return the flat time derivatives (size, T) at times (T,)."""
+        k, lengths = step_at(t, self.ts)
+        share = ((t - self.ts[k]) / lengths)[:, None]
+        return self._sum(k, share, np.arange(1.0, self.Q.shape[1] + 1)).T
+
+    def _sum(self, k: np.ndarray, share: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        value = 0.0 * share
+        for j in range(len(weights))[::-1]:
+            value = value * share + weights[j] * self.Q[k, j]
+        return value
+
+
+def step_at(t: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Indices of the steps that times are in, and their lengths."""
+    k = np.clip(np.searchsorted(ends, t, side="right") - 1, 0, len(ends) - 2)
+    return k, np.diff(ends)[k]
+
+
 @dataclass(frozen=True, eq=False)
 class DenseOutput:
     """A solver's own interpolation of a run; its curve is None if it was too large to keep."""
@@ -46,17 +79,13 @@ class DenseOutput:
                 'times wanted in simulate (times=), or for at(t, "linear")'
             )
         flat = self.curve(np.ravel(t))
-        flat = flat.T if isinstance(self.curve, scipy.interpolate.PPoly) else flat
         return unflatten(flat, self.shape, self.by_rows).reshape(*self.shape, *np.shape(t))
 
     def slopes(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the time derivatives at times (T,), and the lengths of the steps there."""
-        polynomial = isinstance(self.curve, scipy.interpolate.PPoly)
-        ends = self.curve.x if polynomial else self.curve.ts
-        k = np.clip(np.searchsorted(ends, t, side="right") - 1, 0, len(ends) - 2)
-        lengths = np.diff(ends)[k]
-        if polynomial:
-            flat = self.curve.derivative()(t).T
+        k, lengths = step_at(t, self.curve.ts)
+        if isinstance(self.curve, StepPolynomials):
+            flat = self.curve.slopes(t)
         else:
             steps = zip(t, 1e-3 * lengths, (self.curve.interpolants[i] for i in k), strict=True)
             flat = np.stack([(p(s + d) - p(s - d)) / (2 * d) for s, d, p in steps], axis=-1)
@@ -140,10 +169,8 @@ class Steps:
             return None
         ends = [self._pieces[0].t_old, *self._ends]
         if isinstance(self._pieces[0], StepPolynomial):
-            Q = np.array([piece.Q for piece in self._pieces]).swapaxes(0, 1)
-            Q /= np.diff(ends)[:, None] ** np.arange(len(Q))[:, None, None]
-            y_old = np.array([piece.y_old for piece in self._pieces])[None]
-            curve = scipy.interpolate.PPoly(np.concatenate([Q[::-1], y_old]), ends)
+            y_old, Q = (np.array([getattr(p, a) for p in self._pieces]) for a in ("y_old", "Q"))
+            curve: Any = StepPolynomials(np.array(ends), y_old, Q)
         else:
             curve = scipy.integrate.OdeSolution(ends, self._pieces)
         dense = DenseOutput(curve, self.state.shape, self._by_rows)
