@@ -246,8 +246,14 @@ def test_two_readings_of_an_array():
     assert held.states[:, -1] == pytest.approx([1 - np.exp(-1), 2 - 2 * np.exp(-1)])
     sampled = simulate(double_integrator, [0.0, 0.0], [1.0, 2.0], times=[0, 1])
     assert sampled.states[:, -1] == pytest.approx([0.5 + 1 / 6, 1.5])
-    each = simulate(double_integrator, np.zeros((2, 2)), [[1.0, 2.0]], times=[0, 1])
-    assert each.states[1, :, -1] == pytest.approx([1.0, 2.0])
+    for u in ([[1.0, 2.0]], [1.0, 2.0]):
+        each = simulate(double_integrator, np.zeros((2, 2)), u, times=[0, 1])
+        assert each.states[1, :, -1] == pytest.approx([1.0, 2.0])
+    long = np.linspace(0, 1, 30_001)  # read as so many inputs it would not fit in memory
+    few = simulate(double_integrator, [0.0, 0.0], long[::3000], times=long[::3000])
+    assert few.states[1, -1] == pytest.approx(0.5)
+    with pytest.raises(ValueError, match="reads only the first"):
+        simulate(double_integrator, [0.0, 0.0], long, duration=1.0)
 
 
 @pytest.mark.parametrize("system", [double_integrator, sb.Particle()])

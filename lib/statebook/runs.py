@@ -42,8 +42,14 @@ def through(
             fixed_steps(flow, steps, stretches, solver.method)
 
     stop = _attempt(work)
-    dense, felt = steps.settle(), control()
+    with np.errstate(all="ignore"):
+        dense, felt = steps.settle(), control()
     states, times = _samples(steps)
+    beyond = ~np.isfinite(states.reshape(-1, len(times))).all(axis=0)
+    if beyond.any():  # within the last step, or where an interpolation asks outside the domain
+        states, times = states[..., : np.argmax(beyond)], times[: np.argmax(beyond)]
+        why = "the interpolated state is not finite"
+        stop = stop or StoppedError(why, times[-1], states[..., -1])
     controls = None
     if system.m:
         with np.errstate(all="ignore"):
