@@ -1,5 +1,6 @@
 """Runge-Kutta methods and fixed-step integration, against closed forms."""
 
+import math
 from dataclasses import replace
 from fractions import Fraction
 from math import factorial
@@ -409,3 +410,13 @@ def test_an_implicit_step_without_solution():
 def test_bad_arguments_of_amplification_matrix(A, dt, message):
     with pytest.raises(ValueError, match=message):
         amplification_matrix(A, dt, "semi_implicit_euler")
+
+
+@pytest.mark.parametrize("method", ["euler", "rk4", "implicit_midpoint"])
+def test_leaving_the_domain_of_math_says_when_and_where(method):
+    with pytest.raises(sb.DivergenceError, match=r"stopped at t = .* failed \(math") as caught:
+        sb.integrate(lambda x, t: [-math.sqrt(x[0]) - 0.1], [1.0], 40, 0.1, method=method)
+    assert caught.value.time == pytest.approx(1.5, abs=0.2)
+    assert caught.value.trajectory.times[-1] == caught.value.time
+    with pytest.raises(ValueError, match=r"no value in the first step, from t = 0, x = \[-1\.\]"):
+        sb.integrate(lambda x, t: [-math.sqrt(x[0])], [-1.0], 4, 0.1, method=method)

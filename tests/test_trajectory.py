@@ -1,5 +1,9 @@
 """Trajectories: interpolation, angles, controls, files and python-control's responses."""
 
+import copy
+import dataclasses
+import pickle
+
 import control
 import numpy as np
 import pytest
@@ -169,7 +173,7 @@ def test_cubic_needs_a_continuous_system():
         trajectory.at(0.5, "cubic")
     with pytest.raises(ValueError, match="continuous-time system, got dt = True"):
         trajectory.at(0.5, "cubic", system=sb.as_system(lambda x: x, [0.0], dt=True))
-    with pytest.raises(ValueError, match="kind must be one of linear, cubic"):
+    with pytest.raises(ValueError, match="kind must be one of dense, linear, cubic"):
         trajectory.at(0.5, "quintic")
 
 
@@ -408,3 +412,183 @@ def test_limits_from_both_sides_of_a_breakpoint():
 def test_wrong_controls(make, error, message):
     with pytest.raises(error, match=message):
         make()
+
+
+# --- what a run knows between its samples
+
+RUN = sb.ControlTrajectory.piecewise_constant([0, 0.7, 1.4], [3.0, -3.0])
+
+
+@pytest.mark.parametrize("method", ["RK45", "RK23", "DOP853", "Radau", "BDF", "LSODA"])
+@pytest.mark.parametrize("batch", [False, True])
+def test_between_samples_the_solvers_own_output(method, batch):
+    x0 = [[1.0, -0.5, 2.0], [0.0, 0.3, 0.1]] if batch else [1.0, 0.0]
+    run = sb.simulate(sb.Pendulum(), x0, times=[0, 4.0, 9.0], method=method)
+    t = np.linspace(0, 9, 91)
+    truth = sb.simulate(sb.Pendulum(), x0, times=t, method="DOP853", rtol=1e-12, atol=1e-13)
+    assert np.abs(run(t) - truth.states).max() < 5e-5
+    assert np.abs(run.at(t, "linear") - truth.states).max() > 0.5
+    assert np.array_equal(run(run.times), run.states)
+    assert np.array_equal(run(4.0), run.states[..., 1])
+    assert run(2.5).shape == run.states.shape[:-1]
+    assert np.array_equal(run.at(t), run.at(t, "dense"))
+
+
+def test_dense_output_survives_resampling_and_pickling_but_not_replacing():
+    run = sb.simulate(sb.Pendulum(), [1.0, 0.0], RUN, times=[0, 1.0, 1.4])
+    finer = run.resample(np.linspace(0.1, 1.3, 13))
+    assert np.array_equal(finer(0.55), run(0.55))
+    assert np.array_equal(finer.controls, run.control_at(finer.times))
+    for again in (pickle.loads(pickle.dumps(run)), copy.deepcopy(run)):
+        assert np.array_equal(again(0.123), run(0.123))
+        assert np.array_equal(again.control_at(0.69), run.control_at(0.69))
+        with pytest.raises(ValueError, match="read-only"):
+            again.states[0, 0] = 1
+    doubled = dataclasses.replace(run, states=2 * run.states)
+    assert np.array_equal(doubled(0.5), run.at(0.5, "linear") * 2)
+    with pytest.raises(ValueError, match='kind "dense" needs'):
+        doubled.at(0.5, "dense")
+
+
+def test_held_controls_are_held_beside_a_switch_too():
+    run = sb.simulate(sb.Pendulum(), [1.0, 0.0], RUN)
+    near = np.nextafter(0.7, 0)
+    t = [0.0, 0.69, 0.6999999, near - 1e-12, 0.7, 0.7000001, 1.4]
+    assert run.control_at(t).tolist() == [[3, 3, 3, 3, -3, -3, -3]]
+    constant = sb.simulate(sb.Pendulum(), np.zeros((2, 2)), [[1.0, 2.0]], duration=1.0)
+    assert constant.control_at(0.123).tolist() == [[1.0, 2.0]]
+    assert constant.control_at([0.1, 0.2]).shape == (1, 2, 2)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    kind=st.sampled_from(["constant", "linear", "spline", "number"]),
+    start=st.floats(0, 0.5),
+    samples=st.integers(2, 30),
+    method=st.sampled_from(["RK45", "DOP853", "LSODA"]),
+)
+def test_a_replay_repeats_a_run_to_rounding(kind, start, samples, method):
+    breaks = np.array([0, 0.55, 0.6, 1.3, 2.0])
+    values = np.array([1.0, -2.0, 0.5, 3.0, 0.1])
+    u = {
+        "constant": ControlTrajectory.piecewise_constant(breaks, values[:-1]),
+        "linear": ControlTrajectory.piecewise_linear(breaks, values),
+        "spline": ControlTrajectory.spline(breaks, values),
+        "number": 0.7,
+    }[kind]
+    times = np.linspace(start, 1.9, samples)
+    run = sb.simulate(sb.Pendulum(), [0.4, 0.0], u, times=times, method=method)
+    x0, plan = run.to_control_space()
+    again = sb.simulate(sb.Pendulum(), x0, plan, times=times, method=method)
+    assert np.abs(again.states - run.states).max() < 1e-7
+    if kind in ("constant", "number") and start == 0:
+        assert np.array_equal(again.states, run.states)
+    whole = sb.simulate(sb.Pendulum(), x0, plan, method=method)
+    assert np.allclose(whole.times[[0, -1]], times[[0, -1]])
+    t = np.linspace(start, 1.9, 50)
+    assert np.allclose(plan(t), run.control_at(t), atol=1e-12)
+
+
+@settings(max_examples=40, deadline=None)
+@given(coefficients=arrays(float, (4, 3, 2), elements=st.floats(-9, 9)), ends=st.data())
+def test_a_part_of_a_control(coefficients, ends):
+    u = ControlTrajectory([0, 1, 2.5, 3], coefficients)
+    start = ends.draw(st.floats(0, 2.9))
+    end = ends.draw(st.floats(start + 0.05, 3))
+    part = u.between(start, end)
+    assert part.breakpoints[[0, -1]].tolist() == [start, end]
+    t = np.linspace(start, end, 40)[1:-1]
+    t = t[np.abs(t[:, None] - u.breakpoints).min(axis=1) > 1e-9]
+    assert np.allclose(part(t), u(t), atol=1e-10)
+    with pytest.raises(ValueError, match="must be within"):
+        u.between(0, 3.1)
+
+
+@pytest.mark.parametrize(
+    "t", [0.1 * 3, 0.03 * 11, 1000.33, 1000 + 11 * 0.03, np.nextafter(0.33, 0), 0.33]
+)
+def test_a_time_below_a_switch_by_rounding_is_the_switch(t):
+    switch = round(float(t), 9)
+    u = ControlTrajectory.piecewise_constant([0, switch, 2000], [1, 2])
+    assert u(t).tolist() == [2.0]
+    assert u(switch - 1e-6).tolist() == [1.0]
+
+
+def test_results_are_equal_to_themselves_alone():
+    run, other = (sb.simulate(sb.Pendulum(), [1.0, 0.0], RUN) for _ in range(2))
+    assert run == run
+    assert run != other
+    assert RUN == RUN
+    assert RUN != ControlTrajectory.piecewise_constant([0, 0.7, 1.4], [3.0, -3.0])
+    assert len({run, other, RUN}) == 3
+
+
+@pytest.mark.parametrize(
+    "make", [lambda: RUN, lambda: ControlTrajectory.spline([0, 1, 2], [1, 2, 9])]
+)
+def test_control_trajectories_pickle(make):
+    u = pickle.loads(pickle.dumps(make()))
+    assert np.array_equal(u.coefficients, make().coefficients)
+    with pytest.raises(ValueError, match="read-only"):
+        u.breakpoints[0] = 1
+
+
+def test_errors_pickle():
+    with pytest.raises(sb.DivergenceError) as caught:
+        sb.simulate(lambda x: x**2, [1.0], duration=2.0)
+    again = pickle.loads(pickle.dumps(caught.value))
+    assert type(again) is sb.DivergenceError
+    assert str(again) == str(caught.value)
+    assert (again.time, again.state) == (caught.value.time, caught.value.state)
+    assert np.array_equal(again.trajectory(0.5), caught.value.trajectory(0.5))
+    path = sb.InfeasiblePathError("no", constraint="speed", s=0.5)
+    again = pickle.loads(pickle.dumps(path))
+    assert (str(again), again.constraint, again.s) == ("no", "speed", 0.5)
+    for kind in (sb.KinkError, sb.NotAnEquilibriumError, sb.EquilibriumNotFoundError):
+        assert str(pickle.loads(pickle.dumps(kind("why")))) == "why"
+
+
+# --- step characteristics
+
+
+def test_step_info_is_python_controls():
+    # x'' = 4 (3 - x) - 1.2 x': damping ratio 0.3, from 1 to 3.
+    run = sb.simulate(
+        lambda x: np.stack([x[1], 4 * (3 - x[0]) - 1.2 * x[1]]), [1.0, 0.0], duration=30.0
+    )
+    info = run.step_info("x[0]")
+    step = control.step_info(control.tf([4], [1, 1.2, 4]), T=np.linspace(0, 30, 3001))
+    assert info["Overshoot"] == pytest.approx(100 * np.exp(-np.pi * 0.3 / np.sqrt(0.91)), rel=1e-3)
+    assert info["Peak"] == pytest.approx(2 * step["Peak"], rel=1e-4)
+    for name in ("RiseTime", "SettlingTime", "PeakTime"):
+        assert info[name] == pytest.approx(step[name], abs=0.03)
+
+
+def test_step_info_of_a_first_order_lag_in_closed_form():
+    run = sb.simulate(lambda x: (5.0 - x) / 2, [1.0], times=np.linspace(0, 40, 5))
+    info = run.step_info(final=5.0)
+    assert info["RiseTime"] == pytest.approx(2 * np.log(9), abs=0.03)
+    assert info["SettlingTime"] == pytest.approx(2 * np.log(50), abs=0.03)
+    assert info["SteadyStateValue"] == pytest.approx(4.0)
+    assert run.step_info(final=5.0, SettlingTimeThreshold=0.1)["SettlingTime"] == pytest.approx(
+        2 * np.log(10), abs=0.03
+    )
+    down = sb.simulate(lambda x: -x, [1.0], duration=20.0).step_info()
+    assert down["RiseTime"] == pytest.approx(np.log(9), abs=0.02)
+    assert down["Overshoot"] == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        ({"state": 2}, ValueError, "state must be below n = 2"),
+        ({"state": "speed"}, ValueError, r"state must be one of x\[0\], x\[1\]"),
+        ({"state": 0.5}, TypeError, "state must be an integer"),
+        ({"state": 1}, ValueError, r"x\[1\] ends where it starts, at 0: no step"),
+        ({"final": np.nan}, ValueError, "final must be finite"),
+    ],
+)
+def test_step_info_of_what_is_none(arguments, error, message):
+    run = sb.Trajectory([0, 1, 2], [[0, 1, 2], [0, 3, 0]])
+    with pytest.raises(error, match=message):
+        run.step_info(**arguments)

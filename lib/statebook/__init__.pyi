@@ -13,6 +13,9 @@ from .controllers.pid import PID as PID
 from .controllers.swing_up import CartPoleSwingUp as CartPoleSwingUp
 from .controllers.swing_up import SwingUp as SwingUp
 from .controllers.swing_up import cart_force as cart_force
+from .delays import DelayMargin as DelayMargin
+from .delays import delay_margin as delay_margin
+from .delays import with_input_delay as with_input_delay
 from .derivatives import InexactDerivativeWarning as InexactDerivativeWarning
 from .equilibrium import Equilibrium as Equilibrium
 from .equilibrium import find_equilibrium as find_equilibrium
@@ -21,6 +24,7 @@ from .errors import EquilibriumNotFoundError as EquilibriumNotFoundError
 from .errors import InfeasiblePathError as InfeasiblePathError
 from .errors import KinkError as KinkError
 from .errors import NotAnEquilibriumError as NotAnEquilibriumError
+from .events import Event as Event
 from .grading.exercise import exercise as exercise
 from .grading.grade import Grade as Grade
 from .grading.grade import grade as grade

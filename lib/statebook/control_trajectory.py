@@ -52,6 +52,11 @@ class ControlTrajectory:
         object.__setattr__(self, "breakpoints", breakpoints)
         object.__setattr__(self, "coefficients", coefficients)
 
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        for array in state.values():  # a pickle forgets it
+            array.setflags(write=False)
+
     def __repr__(self) -> str:
         degree, pieces, m = (len(self.coefficients) - 1, *self.coefficients.shape[1:])
         count = f"{pieces} piece{'s' if pieces > 1 else ''}"
@@ -114,6 +119,35 @@ class ControlTrajectory:
         for coefficient in self.coefficients:
             value = value * local + coefficient[k]
         return np.asarray(value).T
+
+    def between(self, start: float, end: float) -> ControlTrajectory:
+        """The part of the control between two times.
+
+        Parameters
+        ----------
+        start, end : float [s]
+            Times between the first and the last breakpoint, in order.
+
+        Returns
+        -------
+        ControlTrajectory
+
+        Examples
+        --------
+        >>> ControlTrajectory.piecewise_linear([0, 1, 3], [0, 2, 0]).between(0.5, 2)
+        ControlTrajectory(m=1, 2 pieces of degree 1 over [0.5, 2] s)
+        """
+        start, end = within("start, end", [start, end], self.breakpoints)
+        breaks = self.breakpoints
+        first = int(interval_of(np.float64(start), breaks))
+        last = max(first, int(np.searchsorted(breaks, end)) - 1)
+        breaks = np.concatenate([[start], breaks[first + 1 : last + 1], [end]])
+        coefficients = self.coefficients[:, first : last + 1].copy()
+        shift = start - self.breakpoints[first]
+        for count in range(len(coefficients) - 1, 0, -1):  # Horner's scheme, about the new start
+            for j in range(count):
+                coefficients[j + 1, 0] += shift * coefficients[j, 0]
+        return ControlTrajectory(breaks, coefficients)
 
     @classmethod
     def piecewise_constant(cls, times: Any, values: Any) -> ControlTrajectory:

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import numpy as np
 
     from statebook.trajectory import Trajectory
+
+
+class _Kept:
+    """Errors that keep their attributes when they are pickled."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self).__new__, (type(self), *self.args), self.__dict__  # type: ignore
 
 
 class NotAnEquilibriumError(ValueError):
@@ -23,7 +29,7 @@ class KinkError(ValueError):
     """The function has no derivative at the point."""
 
 
-class DivergenceError(RuntimeError):
+class DivergenceError(_Kept, RuntimeError):
     """A simulation left the finite numbers, or could go no further.
 
     Attributes
@@ -49,13 +55,8 @@ class DivergenceError(RuntimeError):
         self.state = state
         self.trajectory = trajectory
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        # The way of BaseException, the message alone, would not survive a pool of processes.
-        rebuild = partial(type(self), time=self.time, state=self.state)
-        return rebuild, self.args, self.__dict__
 
-
-class InfeasiblePathError(ValueError):
+class InfeasiblePathError(_Kept, ValueError):
     """No timing of the path satisfies the limits.
 
     Attributes
@@ -71,5 +72,13 @@ class InfeasiblePathError(ValueError):
         self.constraint = constraint
         self.s = s
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        return partial(type(self), constraint=self.constraint, s=self.s), self.args, self.__dict__
+
+def outside_domain(error: Exception) -> bool:
+    """Whether a function raised because a number is outside its domain: 1 / 0, math.sqrt(-1).
+
+    NumPy returns inf or NaN there; Python's numbers and ``math`` raise.
+    """
+    words = str(error)
+    return isinstance(error, ArithmeticError) or (
+        isinstance(error, ValueError) and words.startswith(("math ", "expected a "))
+    )

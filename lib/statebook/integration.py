@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from statebook import _validate
-from statebook.errors import DivergenceError
+from statebook.errors import DivergenceError, outside_domain
 from statebook.runge_kutta import (
     SEMI_IMPLICIT_EULER,
     ButcherTableau,
@@ -142,6 +142,15 @@ def integrate(
                 reason = "" if np.isfinite(xs[k + 1]).all() else "the next state is not finite"
             except _NoSolution as failure:
                 reason = str(failure)
+            except Exception as error:
+                if not outside_domain(error):
+                    raise
+                if k == 0:
+                    raise ValueError(
+                        f"f(x, t) has no value in the first step, from t = {t0:g}, "
+                        f"x = {_validate.brief(x)}: {error}"
+                    ) from error
+                reason = f"f(x, t) failed ({error})"
             if not reason:
                 continue
             if k == 0:  # a function that is not finite at the start is the caller's mistake

@@ -1,65 +1,259 @@
-"""One function u(x, t) from every form in which a control may be given."""
+"""One view of every form in which a control may be given."""
 
 from __future__ import annotations
 
+import bisect
 import itertools
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 
 from statebook import _validate
 from statebook.control_trajectory import ControlTrajectory
-from statebook.probes import takes_batches
+from statebook.dense_output import Steps
+from statebook.errors import outside_domain
+from statebook.probes import arguments_of, takes_batches
+from statebook.systems import System
 from statebook.times import interval_of
 
 Policy = Callable[[np.ndarray, float], np.ndarray]
-Stretch = tuple[float, float, Policy]
+_FLOAT = np.dtype(float)
+_SMOOTH = 6  # delays after which the kink of a start is too smooth to be seen
 
 
-def first_control(u: Any, x: np.ndarray, t: float) -> np.ndarray | None:
-    """The control at the start: what tells m to a system that is a plain function."""
+class Stretch(NamedTuple):
+    """A stretch of time in which a control has no switch."""
+
+    start: float
+    end: float
+    policy: Policy
+
+
+@dataclass(frozen=True)
+class Control:
+    """A control of m inputs, or of m inputs of each of a batch.
+
+    A plan is a function of time alone, of m or m N inputs; without one there is a policy.
+    """
+
+    m: int
+    batch: tuple[int, ...]
+    plan: ControlTrajectory | None
+    policy: Policy
+
+    @property
+    def is_policy(self) -> bool:
+        """Whether the control is a function that may depend on the state."""
+        return self.plan is None and self.m > 0
+
+    def values(self, states: np.ndarray, times: np.ndarray) -> np.ndarray:
+        """The controls (m, T) or (m, N, T) at samples of a run."""
+        if self.plan is not None:
+            return self.plan(times).reshape(self.m, *self.batch, len(times))
+        values = np.empty((self.m, *self.batch, len(times)))
+        for k, t in enumerate(times):
+            try:
+                values[..., k] = self.policy(states[..., k], float(t))
+            except Exception as error:
+                if not outside_domain(error):
+                    raise
+                values[..., k] = np.nan
+        return values
+
+    def stretches(self, start: float, end: float, switches: np.ndarray) -> Iterator[Stretch]:
+        """The stretches between switches, and breakpoints of a plan.
+
+        At the end of a stretch its policy is the limit from the left.
+        """
+        plan = self.plan
+        marks = switches if plan is None else np.union1d(switches, plan.breakpoints)
+        slack = 1e-12 * max(abs(start), abs(end), end - start)
+        inside = marks[(marks > start + slack) & (marks < end - slack)]
+        inside = inside[np.diff(inside, prepend=start) > slack]
+        cuts = np.array([start, *inside.tolist(), end])
+        ends = itertools.pairwise(cuts.tolist())
+        if plan is None:
+            for a, b in ends:
+                yield Stretch(a, b, self.policy if b == end else _before(self.policy, b))
+            return
+        pieces = interval_of((cuts[:-1] + cuts[1:]) / 2, plan.breakpoints).tolist()
+        shape = (len(plan.breakpoints) - 1, -1, self.m, *self.batch)
+        coefficients = plan.coefficients.swapaxes(0, 1).reshape(shape)
+        for (a, b), k in zip(ends, pieces, strict=True):
+            yield Stretch(a, b, _polynomial(coefficients[k], float(plan.breakpoints[k])))
+
+    def delayed(
+        self,
+        delay: float,
+        before: np.ndarray,
+        start: float,
+        end: float,
+        switches: np.ndarray,
+        steps: Steps,
+    ) -> tuple[Control, np.ndarray]:
+        """The control that arrives `delay` later, and its switches; until then `before`."""
+        first = np.reshape(before, (1, 1, -1))
+        if self.plan is not None:
+            own = self.plan.between(start, end)
+            coefficients = np.zeros((len(own.coefficients), 1, first.size))
+            coefficients[-1] = first[0]
+            plan = ControlTrajectory(
+                np.concatenate([[start], own.breakpoints + delay]),
+                np.concatenate([coefficients, own.coefficients], axis=1),
+            )
+            return of_plan(plan, self.m, self.batch), np.empty(0)
+
+        early = [start, *switches.tolist(), np.inf]
+        late = [time + delay for time in early]
+
+        def policy(x: np.ndarray, t: float) -> np.ndarray:
+            k = bisect.bisect_right(late, t) - 1
+            if k < 0:
+                return before
+            # On the side of the switch that t is on, in spite of rounding.
+            then = min(max(t - delay, early[k]), float(np.nextafter(early[k + 1], -np.inf)))
+            return self.policy(steps.at(then), then)
+
+        kinks = start + delay * np.arange(1, _SMOOTH + 1)
+        return Control(self.m, self.batch, None, policy), np.union1d(kinks, late[1:-1])
+
+
+def held(u: np.ndarray) -> Policy:
+    """The policy that returns one value."""
+    return lambda x, t: u
+
+
+def _polynomial(coefficients: np.ndarray, origin: float) -> Policy:
+    """The policy that is a polynomial of the time, highest power first."""
+    first, *others = coefficients
+    if not others:
+        return held(first)
+
+    def policy(x: np.ndarray, t: float) -> np.ndarray:
+        value, since = first, t - origin
+        for coefficient in others:
+            value = value * since + coefficient
+        return value
+
+    return policy
+
+
+def _before(policy: Policy, end: float) -> Policy:
+    last = float(np.nextafter(end, -np.inf))
+    return lambda x, t: policy(x, min(t, last))
+
+
+def of_plan(plan: ControlTrajectory, m: int, batch: tuple[int, ...]) -> Control:
+    """The control of a plan of m inputs, or of m inputs of each of a batch."""
+    if batch and plan.m == m:
+        spread = np.repeat(plan.coefficients, batch[0], axis=2)
+        plan = ControlTrajectory(plan.breakpoints, spread)
+    return Control(m, batch, plan, lambda x, t: plan(t).reshape(m, *batch))
+
+
+def at_start(name: str, function: Callable[..., Any], x: np.ndarray, t: float) -> np.ndarray:
+    """Evaluate a function of x and t where a run starts: finite and real, or an error."""
+    try:
+        with np.errstate(all="ignore"):
+            value = function(x.copy(), t)
+    except Exception as error:
+        if not outside_domain(error):
+            raise
+        raise ValueError(
+            f"{name} has no value at t = {t:g}, x = {_validate.brief(x)}: {error}"
+        ) from error
+    return np.array(_validate.real_array(name, value))
+
+
+def as_plan(u: Any) -> Any:
+    """A SciPy piecewise polynomial as a control trajectory; anything else as it is."""
+    return ControlTrajectory.from_ppoly(u) if isinstance(u, scipy.interpolate.PPoly) else u
+
+
+def example_input(
+    system: Any, u: Any, x0: np.ndarray, t: float, times: np.ndarray | None
+) -> np.ndarray | None:
+    """A control at the start: what tells m to a system that is a plain function."""
+    x = x0 if x0.ndim == 1 else x0[:, 0]
     if u is None:
         return None
     if isinstance(u, ControlTrajectory):
         return u.on_piece(interval_of(np.float64(t), u.breakpoints), t)
     if callable(u):
-        return np.atleast_1d(_validate.real_array("u(x0, t0)", u(x.copy(), t)))
-    return np.atleast_1d(_validate.real_array("u", u))
+        return np.atleast_1d(at_start("u(x0, t0)", u, x, t))
+    value = np.atleast_1d(_validate.real_array("u", u))
+    if value.ndim == 2 and x0.ndim == 1:
+        return value[:, 0]
+    plain = callable(system) and not (hasattr(system, "dynamics") or hasattr(system, "nstates"))
+    if not plain or value.ndim > 1 or value.size < 2:
+        return value
+    samples = times is not None and len(times) == value.size
+    one_each = x0.shape[1:] == value.shape
+    if (samples or one_each or value.size > x.size) and _reads_one(system, x, value):
+        if not (samples or one_each):
+            raise ValueError(
+                f"u has {value.size} entries, but the function reads only the first: samples of "
+                "a control go with times= of the same length, a held one has shape (1,)"
+            )
+        return value[:1]
+    return value
 
 
-def as_policy(u: Any, m: int, x0: np.ndarray, t0: float) -> Policy:
-    """The control as a function that returns (m,), or (m, N) for a batch of states.
+def _reads_one(f: Callable[..., Any], x: np.ndarray, u: np.ndarray) -> bool:
+    """Whether a function f(x, u) reads only the first of so many inputs."""
+    changed = np.concatenate([u[:1], 2 * u[1:] + 1])
+    try:
+        time = (0.0,) if arguments_of(f)[0] > 2 else ()
+        return all(
+            np.array_equal(
+                np.array(f(y.copy(), u.copy(), *time)), np.array(f(y.copy(), changed.copy(), *time))
+            )
+            for y in (x, x + 1e-3 * (1 + np.abs(x)))
+        )
+    except Exception:  # what a function does with so many inputs, if it is not meant for them
+        return True
+
+
+def as_control(
+    u: Any, system: System, x0: np.ndarray, times: np.ndarray, sampled: np.ndarray | None
+) -> Control:
+    """View a control of any form as one; `sampled` are the times that samples belong to.
 
     A function is probed: one that does not take a batch is called column by column.
     """
-    batch = x0.shape[1:]
+    m, batch = system.m, x0.shape[1:]
+    if m == 0 and not callable(u) and np.size(u if u is not None else []) == 0:
+        nothing = np.empty((0, *batch))
+        return Control(0, batch, None, held(nothing))
+    if not isinstance(u, ControlTrajectory) and not callable(u):
+        u = _plan_of(u, m, batch, times, sampled)
     if isinstance(u, ControlTrajectory):
-        if u.m != m:
+        if u.m != m and u.m != m * int(np.prod(batch)):
             raise ValueError(f"u must have m = {m} inputs, got a control trajectory of {u.m}")
-        return lambda x, t: _spread(u(t), batch)
-    if not callable(u):
-        value = _shaped("u", np.zeros(m) if u is None else _validate.real_array("u", u), m, batch)
-        return lambda x, t: value
+        _check_span(u, times)
+        return of_plan(u, m, batch)
+    function, t0 = u, float(times[0])
 
-    def call(x: np.ndarray, t: float, batch: tuple[int, ...]) -> np.ndarray:
-        try:
-            value = u(x.copy(), t)
-        except ArithmeticError:  # Python's numbers raise where NumPy's become infinite
-            value = np.full(m, np.nan)
-        return _shaped("u(x, t)", value, m, batch)
+    shape = (m,)
 
     def alone(x: np.ndarray, t: float) -> np.ndarray:
-        return call(x, t, ())
+        value = function(x.copy(), t)
+        # What `shaped` does with most of them, without a call.
+        if type(value) is np.ndarray and value.shape == shape and value.dtype is _FLOAT:
+            return value
+        return shaped("u(x, t)", value, m, ())
 
     def together(x: np.ndarray, t: float) -> np.ndarray:
-        return call(x, t, batch)
+        return shaped("u(x, t)", function(x.copy(), t), m, batch)
 
     def one_by_one(x: np.ndarray, t: float) -> np.ndarray:
         return np.stack([alone(column, t) for column in x.T], axis=1)
 
     if not batch:
-        return alone
+        return Control(m, batch, None, alone)
     # Different columns, or a policy that mixes them up would pass.
     beside = x0 + (1 + np.abs(x0)) * np.linspace(0.0, 1e-3, batch[0])
     agrees = all(
@@ -68,28 +262,45 @@ def as_policy(u: Any, m: int, x0: np.ndarray, t0: float) -> Policy:
         )
         for x in (x0, beside)
     )
-    return together if agrees else one_by_one
+    return Control(m, batch, None, together if agrees else one_by_one)
 
 
-def segments(u: Any, policy: Policy, start: float, end: float) -> list[Stretch]:
-    """The stretches of time (a, b, policy) in which the control has no breakpoint.
+def _plan_of(
+    u: Any, m: int, batch: tuple[int, ...], times: np.ndarray, sampled: np.ndarray | None
+) -> ControlTrajectory:
+    """The plan of a held number or array, or of samples at the times."""
+    value = np.zeros(m) if u is None else _validate.real_array("u", u)
+    count = 0 if sampled is None else len(sampled)
+    held = value.shape in ((m,), (m, *batch), () if m == 1 else (m,), batch if m == 1 else (m,))
+    if sampled is not None and count > 1 and not held:
+        if value.shape == (count,) and m == 1:
+            value = value[None]
+        if value.shape == (m, count):
+            return ControlTrajectory.piecewise_linear(sampled, value)
+    if not held:
+        rule = f"u must have shape ({m},)" + (f" or ({m}, {batch[0]})" if batch else "")
+        if count > 1:
+            rule += f", or ({m}, {count}), one column for each of the times"
+        hint = "" if count or value.ndim == 0 or len(value.T) < 2 else (
+            "; samples of a control go with times= of the same length"
+        )  # fmt: skip
+        raise ValueError(f"{rule}, got {value.shape}{hint}")
+    value = shaped("u", value, m, batch)
+    end = times[-1] if len(times) > 1 else times[0] + 1.0
+    return ControlTrajectory(np.array([times[0], end]), value.reshape(1, 1, -1))
 
-    Up to b the policy is that of the stretch: at its end it is the limit from the left.
-    """
-    if not isinstance(u, ControlTrajectory):
-        return [(start, end, policy)]
-    slack = 1e-12 * max(abs(start), abs(end), end - start)
-    inside = u.breakpoints[(u.breakpoints > start + slack) & (u.breakpoints < end - slack)]
-    cuts = [start, *inside.tolist(), end]
 
-    def piece(a: float, b: float) -> Policy:
-        k = interval_of(np.float64((a + b) / 2), u.breakpoints)
-        return lambda x, t: _spread(u.on_piece(k, t), x.shape[1:])
-
-    return [(a, b, piece(a, b)) for a, b in itertools.pairwise(cuts)]
+def _check_span(u: ControlTrajectory, times: np.ndarray) -> None:
+    start, end = u.breakpoints[[0, -1]]
+    slack = 1e-12 * max(np.abs(times[[0, -1]]).max(), end - start)
+    if times[0] < start - slack or times[-1] > end + slack:
+        raise ValueError(
+            f"u must cover the simulated times [{times[0]:g}, {times[-1]:g}], "
+            f"got a control trajectory over [{start:g}, {end:g}]"
+        )
 
 
-def _shaped(name: str, value: Any, m: int, batch: tuple[int, ...]) -> np.ndarray:
+def shaped(name: str, value: Any, m: int, batch: tuple[int, ...]) -> np.ndarray:
     """Check a control and bring it to the shape (m, *batch); it need not be finite."""
     value = np.asarray(value)
     if value.dtype.kind not in "biuf":
@@ -99,8 +310,5 @@ def _shaped(name: str, value: Any, m: int, batch: tuple[int, ...]) -> np.ndarray
     if value.shape not in ((m,), (m, *batch)):
         allowed = f"({m},)" + (f" or ({m}, {batch[0]})" if batch else "")
         raise ValueError(f"{name} must have shape {allowed}, got {value.shape}")
-    return _spread(value.astype(float, copy=False), batch)
-
-
-def _spread(value: np.ndarray, batch: tuple[int, ...]) -> np.ndarray:
+    value = value.astype(float, copy=False)
     return np.repeat(value[:, None], batch[0], axis=1) if batch and value.ndim == 1 else value

@@ -3,20 +3,29 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import scipy
 
+from statebook.dense_output import Steps, unflatten
+from statebook.errors import outside_domain
+from statebook.events import Event, Watch
 from statebook.integration import step_of
-from statebook.policies import Policy, Stretch
+from statebook.policies import Policy, Stretch, held
+from statebook.solvers import EXPLICIT, start_solver
 from statebook.systems import System
+from statebook.times import tick
 
-SOLVERS = ("RK45", "RK23", "DOP853", "Radau", "BDF", "LSODA")
-_SMALLEST_RTOL = 100 * np.finfo(float).eps  # SciPy's own limit
 _CHECK_EVERY = 5_000  # steps
-_HOPELESS = 1e6  # steps, minutes to hours of computing
+_MANY = 1_000_000  # steps: minutes to hours of computing
+_HOPELESS = 1e9  # steps: days
+_COLLAPSED = 0.01  # of a length that steps once had: the control chatters
+_HINT = (
+    "is the control discontinuous in x (sample it with simulate_clocked), or the system stiff "
+    '(method="LSODA")? Where it is just long, give max_steps='
+)
 
 
 class StoppedError(Exception):
@@ -29,165 +38,293 @@ class StoppedError(Exception):
 
 
 class Flow:
-    """The dynamics, NaN (with the trouble noted) where they or the control are not finite.
+    """The dynamics, NaN where they or the control have no value.
 
     A solver may try a step that leaves the domain and then take a shorter one, so that only
     the last trouble before it gives up is the caller's.
     """
 
-    def __init__(self, system: System) -> None:
+    def __init__(self, system: System, *, batch: bool) -> None:
         self.system = system
         self.trouble = ""
         self.error: Exception | None = None
+        self._rate = self._by_columns if batch and not system.batched else system.rate
 
     def __call__(self, x: np.ndarray, policy: Policy, t: float) -> np.ndarray:
+        """Evaluate the dynamics; it may be the function's own buffer."""
         try:
-            return self._evaluate(x, policy, float(t))
+            u, value = None, None
+            u = policy(x, t)
+            value = np.asarray(self._rate(x, u, t))
         except Exception as error:
-            self.error = error  # for _step, to tell the caller's errors from the solver's
+            return self._failed(error, x, "the dynamics" if u is not None else "u(x, t)", t)
+        if value.shape != x.shape or value.dtype.kind not in "biuf":
+            self._refuse(value, x, u, t)
+        return value
+
+    def _refuse(self, value: Any, x: np.ndarray, u: np.ndarray, t: float) -> None:
+        try:
+            self.system.dynamics(x, u, t)  # raises the error that explains it
+            raise TypeError(f"{self.system.name} must return real numbers, got {value!r}")
+        except (TypeError, ValueError) as error:
+            self.error = error
             raise
 
-    def _evaluate(self, x: np.ndarray, policy: Policy, t: float) -> np.ndarray:
-        nothing = np.nan * x
+    def control(self, policy: Policy, x: np.ndarray, t: float) -> np.ndarray:
+        """Evaluate the control, NaN where it has no value."""
+        try:
+            return np.array(policy(x, t), dtype=float)
+        except Exception as error:
+            self._failed(error, x, "u(x, t)", t)
+            return np.full((self.system.m, *x.shape[1:]), np.nan)
+
+    def checked(self, x: np.ndarray, policy: Policy, t: float) -> np.ndarray:
+        """Evaluate the dynamics, as new floats; note the trouble where they are not finite."""
+        value = self(x, policy, t).astype(float)
+        if not np.isfinite(value).all():
+            self.explain(x, policy, t)
+        return value
+
+    def explain(self, x: np.ndarray, policy: Policy, t: float) -> None:
+        """Note why the dynamics are not finite."""
         if not np.isfinite(x).all():
             self.trouble = self.trouble or f"the state is not finite after t = {t:.6g}"
-            return nothing
-        u = policy(x, t)
+            return
+        u = self.control(policy, x, t)
         if not np.isfinite(u).all():
-            self.trouble = f"u(x, t) is not finite at t = {t:.6g}"
-            return nothing
-        system = self.system
-        try:
-            if x.ndim == 1 or system.batched:
-                value = np.asarray(system.rate(x, u, t))
-            else:
-                columns = zip(x.T, u.T, strict=True)
-                value = np.stack([system.rate(*column, t) for column in columns], axis=1)
-        except ArithmeticError as error:  # Python's numbers raise where NumPy's become infinite
-            self.trouble = f"the dynamics failed at t = {t:.6g} ({error})"
-            return nothing
-        if value.shape != x.shape or value.dtype.kind not in "biuf":
-            system.dynamics(x, u, t)  # raises the error that explains it
-            raise TypeError(f"{system.name} must return real numbers, got {value!r}")
-        if not np.isfinite(value).all():
-            self.trouble = f"the dynamics are not finite at t = {t:.6g}"
-        return value
+            self.trouble = self.trouble or f"u(x, t) is not finite at t = {t:.6g}"
+            return
+        self.trouble = f"the dynamics are not finite at t = {t:.6g}"
+        self(x, held(u), t)
+
+    def _by_columns(self, x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
+        rates = [self.system.rate(*column, t) for column in zip(x.T, u.T, strict=True)]
+        return np.stack([np.array(rate) for rate in rates], axis=1)
+
+    def _failed(self, error: Exception, x: np.ndarray, what: str, t: float) -> np.ndarray:
+        """NaN where a function left its domain; else the caller's own error."""
+        if not outside_domain(error) and np.isfinite(x).all():
+            if self.error is not error and hasattr(error, "add_note"):  # Python 3.11
+                error.add_note(f"in simulate, at t = {t:.6g}, x = {np.array2string(x)}")
+            self.error = error  # to tell the caller's errors from the solver's
+            raise error
+        if np.isfinite(x).all():
+            self.trouble = f"{what} failed at t = {t:.6g} ({error})"
+        return np.nan * x
 
 
 def iterate(
-    flow: Flow, x: np.ndarray, policy: Policy, times: np.ndarray, dt: float
-) -> Iterator[np.ndarray]:
-    """Yield the states of a discrete-time system at times[1:], whole samples apart."""
-    k = 0
-    for wanted in np.round((times[1:] - times[0]) / dt).astype(int):
-        while k < wanted:
-            t = times[0] + k * dt
-            x_next = flow(x, policy, t)
-            if not np.isfinite(x_next).all():
-                raise StoppedError(flow.trouble, t, x)
-            x, k = x_next, k + 1
-        yield x
+    flow: Flow,
+    steps: Steps,
+    policy: Policy,
+    dt: float,
+    lag: int,
+    before: np.ndarray | None,
+    applied: list[np.ndarray],
+) -> None:
+    """Iterate a map to the last of the times.
+
+    Parameters
+    ----------
+    lag : int
+        Samples by which the control arrives later.
+    before : array, shape (m,) or (m, N)
+        The control until it arrives.
+    applied : list
+        Takes the controls of all samples.
+    """
+    start = steps.time
+    wanted = np.round((steps.times - start) / dt).astype(int)
+    commands = []
+    for k in range(wanted[-1] + 1):
+        x, t = steps.state, tick(start, dt, k)
+        commands.append(flow.control(policy, x, t))
+        u = commands[k - lag] if k >= lag or before is None else before
+        applied.append(u)
+        if k == wanted[-1]:
+            return
+        flow.trouble = ""
+        x_next = flow.checked(x, held(u), t)
+        if not np.isfinite(x_next).all():
+            raise StoppedError(flow.trouble, t, x)
+        taken = wanted[steps.taken] == k + 1
+        steps.advance(steps.times[steps.taken] if taken else tick(start, dt, k + 1), x_next)
 
 
-def fixed_steps(
-    flow: Flow, x: np.ndarray, stretches: list[Stretch], times: np.ndarray, method: str
-) -> Iterator[np.ndarray]:
-    """Yield the states at times[1:], one step from each time or breakpoint to the next."""
-    step = step_of(method, x.shape)
-    done = 1
+def fixed_steps(flow: Flow, steps: Steps, stretches: Iterable[Stretch], method: str) -> None:
+    """Make one step from each time or end of a stretch to the next."""
+    step = step_of(method, steps.state.shape)
     for start, end, policy in stretches:
 
         def rate(x: np.ndarray, t: float, policy: Policy = policy) -> np.ndarray:
-            return flow(x, policy, t)
+            return flow.checked(x, policy, float(t))
 
         t = start
         while t < end:
-            target = min(times[done], end)
+            x, target = steps.state, min(steps.times[steps.taken], end)
             try:
                 x_next = step(rate, x, t, target - t)
             except ArithmeticError as error:
                 raise StoppedError(flow.trouble or str(error), t, x) from None
             if not np.isfinite(x_next).all():
                 raise StoppedError(flow.trouble or "the next state is not finite", t, x)
-            x, t = x_next, target
-            if t == times[done]:
-                yield x
-                done += 1
+            t = target
+            steps.advance(t, x_next)
 
 
-def adaptive_steps(
-    flow: Flow,
-    x: np.ndarray,
-    stretches: list[Stretch],
-    times: np.ndarray,
-    method: str,
-    rtol: float,
-    atol: float,
-) -> Iterator[np.ndarray]:
-    """Yield the states at times[1:] from a SciPy solver, started anew in each stretch."""
-    size, columns = len(x), x.size // len(x)
-    # SciPy takes the root mean square over all components: over N trajectories, one alone may
-    # have sqrt(N) times the tolerance.
-    rtol = max(rtol / columns**0.5, _SMALLEST_RTOL)
-    options: dict[str, Any] = {"rtol": rtol, "atol": atol / columns**0.5}
-    if columns > 1 and method == "LSODA":
-        options.update(lband=size - 1, uband=size - 1)
-    elif columns > 1 and method in ("Radau", "BDF"):
-        blocks = scipy.sparse.kron(scipy.sparse.eye_array(columns), np.ones((size, size)))
-        options.update(jac_sparsity=blocks.tocsc())
+@dataclass
+class Solver:
+    """A SciPy solver's method, tolerances and limits.
 
-    def unflatten(y: np.ndarray) -> np.ndarray:  # one trajectory after the other
-        return y.reshape(x.shape[::-1]).T
+    Attributes
+    ----------
+    max_step : float
+        The longest step.
+    max_steps : float or None
+        When so many steps would be needed it gives up; None is when they have collapsed.
+    events : list of Watch
+        What is watched at each step.
+    found : list of Event
+        What was found.
+    """
 
-    y = x.T.ravel()
-    done = 1
-    for start, end, policy in stretches:
+    method: str
+    rtol: float
+    atol: np.ndarray
+    max_step: float
+    max_steps: float | None
+    events: list[Watch] = field(default_factory=list)
+    found: list[Event] = field(default_factory=list)
+    _times: np.ndarray | None = None
+    _pace: float = 0.0
 
-        def rate(t: float, y: np.ndarray, policy: Policy = policy) -> np.ndarray:
-            return flow(unflatten(y), policy, t).T.ravel()
+    @property
+    def by_rows(self) -> bool:
+        """Whether a batch is held row by row."""
+        return self.method in EXPLICIT
 
-        # A solver that cannot choose its first step would look for it forever.
-        if not np.isfinite(rate(start, y)).all():
-            raise StoppedError(flow.trouble, start, unflatten(y))
-        solver = getattr(scipy.integrate, method)(rate, start, y, end, **options)
-        steps, mark = 0, start
-        while solver.status == "running":
-            t, y, flow.trouble = solver.t, solver.y, ""
-            reason = _step(solver, flow)
-            if reason:
-                raise StoppedError(reason, t, unflatten(y))
-            steps += 1
-            if steps % _CHECK_EVERY == 0:
-                length = (solver.t - mark) / _CHECK_EVERY
-                if end - solver.t > _HOPELESS * length:
-                    raise StoppedError(
-                        f"steps of {length:.0e} s would take too long; is the control "
-                        'discontinuous in x (sample it), the system stiff (method="LSODA"), '
-                        "or the duration very long (simulate in parts)?",
-                        solver.t,
-                        unflatten(solver.y),
-                    )
-                mark = solver.t
-            upto = np.searchsorted(times, solver.t, side="right")
-            if upto > done:
-                for sample in solver.dense_output()(times[done:upto]).T:
-                    if not np.isfinite(sample).all():
-                        raise StoppedError("the interpolated state is not finite", t, unflatten(y))
-                    yield unflatten(sample)
-                done = upto
-        y = solver.y
+    def stay_within(self, times: np.ndarray) -> np.ndarray:
+        """Let no step be longer than the distance of the times there; return its switches."""
+        gaps = np.diff(times)
+        if len(gaps) and np.ptp(gaps) <= 1e-9 * gaps[0]:
+            self.max_step = min(self.max_step, float(gaps.max()))
+        elif len(gaps):
+            self._times = times
+            if self.method == "LSODA":  # its longest step is fixed from start to start
+                return times
+        return times[:0]
+
+    def _longest(self, t: float) -> float:
+        """The longest step from a time."""
+        if self._times is None:
+            return self.max_step
+        k = int(np.searchsorted(self._times[:-1], t, side="right")) - 1
+        here, *after = np.diff(self._times[k : k + 3]).tolist()
+        return min(self.max_step, here, max(self._times[k + 1] - t, *after or [here]))
+
+    def run(self, flow: Flow, steps: Steps, stretches: Iterable[Stretch], last: float) -> None:
+        """Go through the stretches, to the last time or a terminal event."""
+        shape, batch = steps.state.shape, steps.state.ndim == 2
+        atol = np.broadcast_to(self.atol.reshape(-1, *[1] * (len(shape) - 1)), shape)
+        solver, longest = None, 0.0
+        count, mark = 0, steps.time
+        for start, end, policy in stretches:
+
+            def rate(t: float, y: np.ndarray, policy: Policy = policy) -> np.ndarray:
+                return self._flat(flow.checked(unflatten(y, shape, self.by_rows), policy, t))
+
+            def fast(t: float, y: np.ndarray, policy: Policy = policy) -> np.ndarray:
+                return flow(y.reshape(shape), policy, t).ravel() if batch else flow(y, policy, t)
+
+            def explain(t: float, y: np.ndarray, policy: Policy = policy) -> None:
+                flow.explain(y.reshape(shape), policy, t)
+
+            flow.trouble = ""
+            y = self._flat(steps.state)
+            slope = rate(start, y)
+            # A solver that cannot choose its first step would look for it forever.
+            if not np.isfinite(slope).all():
+                raise StoppedError(flow.trouble, start, steps.state)
+            if solver is not None and self.by_rows:
+                solver.f, solver.t_bound, solver.status = slope, end, "running"
+                solver.h_abs = max(solver.h_abs, longest)
+            else:
+                solver = start_solver(
+                    self.method,
+                    rate,
+                    start,
+                    y,
+                    end,
+                    columns=y.size // len(steps.state),
+                    rtol=self.rtol,
+                    atol=self._flat(atol),
+                    max_step=self._longest(start),
+                    first_step=min(longest, end - start) or None,
+                )
+            if self.by_rows:  # their steps copy at once, and ask for the trouble
+                solver.fun, solver.explain = fast, explain
+            longest = 0.0
+            while solver.status == "running":
+                flow.trouble = ""
+                solver.max_step = self._longest(solver.t)
+                reason = _step(solver, flow)
+                if reason:
+                    raise StoppedError(reason, steps.time, steps.state)
+                longest = max(longest, solver.t - solver.t_old)
+                steps.add(solver.dense_output(), solver.y)
+                if self.events and self._watch(steps, solver.t_old):
+                    return
+                count += 1
+                if count % _CHECK_EVERY == 0:
+                    self._check_pace(steps, last, count, mark)
+                    mark = steps.time
+
+    def _flat(self, x: np.ndarray) -> np.ndarray:
+        return x.ravel() if self.by_rows else x.T.ravel()
+
+    def _watch(self, steps: Steps, start: float) -> bool:
+        """Look for events in the last step; whether a terminal one ended the run."""
+        located = []
+        # At the samples too, or a step could pass zero and return.
+        for t in [*steps.times_between(start, steps.time), steps.time]:
+            x = steps.at(t)
+            located += [(w.locate(steps.at, start, t), w) for w in self.events if w.passed(x, t)]
+            start = t
+        for event, watch in sorted(located, key=lambda pair: pair[0].time):
+            self.found.append(event)
+            if watch.ends():
+                steps.end_at(event.time)
+                return True
+        return False
+
+    def _check_pace(self, steps: Steps, last: float, count: int, mark: float) -> None:
+        length = (steps.time - mark) / _CHECK_EVERY
+        ahead = (last - steps.time) / length if length else np.inf
+        self._pace = max(self._pace, length)
+        most = self.max_steps
+        if most is None:
+            most = _MANY if length < _COLLAPSED * self._pace else _HOPELESS
+        if count + ahead > most:
+            raise StoppedError(
+                f"with steps of {length:.0e} s it would take more than {most:g} of them; {_HINT}",
+                steps.time,
+                steps.state,
+            )
+        if ahead > _MANY and count == _CHECK_EVERY:
+            warnings.warn(
+                f"with steps of {length:.0e} s it will take some {ahead:.0e} of them; {_HINT}",
+                stacklevel=6,
+            )
 
 
 def _step(solver: Any, flow: Flow) -> str:
     """Make a step; return why it failed, if it did."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", module=r"scipy\.")  # said by the status as well
-        try:
-            message = solver.step()
-        except (ValueError, np.linalg.LinAlgError) as error:
-            if error is flow.error:
-                raise
-            return flow.trouble or "the solver met numbers that are not finite"
+    try:
+        message = solver.step()
+    except (ValueError, np.linalg.LinAlgError) as error:
+        if error is flow.error:
+            raise
+        return flow.trouble or "the solver met numbers that are not finite"
     if solver.status == "failed":
         return flow.trouble or message.rstrip(".").lower()
     return "" if np.isfinite(solver.y).all() else flow.trouble or "the next state is not finite"

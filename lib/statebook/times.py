@@ -8,6 +8,8 @@ import numpy as np
 
 from statebook import _validate
 
+_ROUNDING = 4 * np.finfo(float).eps
+
 
 def increasing(name: str, times: Any, minimum: int) -> np.ndarray:
     """Check times: finite, increasing, at least so many; return a read-only copy."""
@@ -34,5 +36,16 @@ def within(name: str, t: Any, times: np.ndarray) -> np.ndarray:
 
 
 def interval_of(t: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Index k with times[k] <= t < times[k + 1], the last interval at the last time."""
-    return np.clip(np.searchsorted(times, t, side="right") - 1, 0, max(len(times) - 2, 0))
+    """Index k with times[k] <= t < times[k + 1], the last interval at the last time.
+
+    A t below a time by rounding alone is that time: 11 * 0.03 is 0.33.
+    """
+    reached = np.searchsorted(times, t + _ROUNDING * np.abs(t), side="right")
+    return np.clip(reached - 1, 0, max(len(times) - 2, 0))
+
+
+def tick(start: float, dt: float, k: int) -> float:
+    """The time start + k dt, free of rounding where it is a number of few digits."""
+    t = float(start + k * dt)
+    short = float(f"{t:.12g}")
+    return short if abs(short - t) <= _ROUNDING * max(abs(t), abs(start)) else t

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,11 +12,16 @@ import numpy as np
 from statebook import _validate
 from statebook.angles import wrap_angle
 from statebook.control_trajectory import ControlTrajectory
+from statebook.dense_output import DenseOutput
+from statebook.events import Event
 from statebook.systems import as_system
 from statebook.times import increasing, interval_of, within
 
 if TYPE_CHECKING:
     import control
+
+
+_FINE = 2001  # samples of a step's characteristics
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -36,6 +41,16 @@ class Trajectory:
         take the shorter way round.
     state_labels, input_labels : tuple of str, optional
         Names; by default "x[0]", ... and "u[0]", ...
+    events : tuple of Event
+        What `simulate` found on the way, each with its label, time and state.
+
+    Attributes
+    ----------
+    dense : DenseOutput or None
+        The solver's own interpolation, if `simulate` made the trajectory; `dataclasses.replace`
+        leaves it behind.
+    plan : ControlTrajectory or None
+        The control as a function of time alone, if it was one.
 
     Raises
     ------
@@ -57,6 +72,9 @@ class Trajectory:
     circle: tuple[int, ...] = ()
     state_labels: tuple[str, ...] | None = None
     input_labels: tuple[str, ...] | None = None
+    events: tuple[Event, ...] = ()
+    dense: DenseOutput | None = field(default=None, init=False)
+    plan: ControlTrajectory | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         times = increasing("times", self.times, minimum=1)
@@ -91,6 +109,12 @@ class Trajectory:
                 raise ValueError(f"{name}_labels must be {count} names, got {labels!r}")
             object.__setattr__(self, f"{name}_labels", tuple(str(label) for label in labels))
 
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        for name in ("times", "states", "controls"):  # a pickle forgets it
+            if state[name] is not None:
+                state[name].setflags(write=False)
+
     def __repr__(self) -> str:
         batch = f"a batch of {self.states.shape[1]}, " if self.states.ndim == 3 else ""
         count = f"{len(self.times)} time{'s' if len(self.times) > 1 else ''}"
@@ -120,18 +144,20 @@ class Trajectory:
         return "time" if self.controls.shape[-1] == len(self.times) else "interval"
 
     def __call__(self, t: Any) -> np.ndarray:
-        """Interpolate the state linearly; the same as ``at(t)``."""
+        """Interpolate the state; the same as ``at(t)``."""
         return self.at(t)
 
-    def at(self, t: Any, kind: str = "linear", *, system: Any = None) -> np.ndarray:
+    def at(self, t: Any, kind: str | None = None, *, system: Any = None) -> np.ndarray:
         """Interpolate the state.
 
         Parameters
         ----------
         t : float or array, shape (K,) [s]
             Times between the first sample and the last.
-        kind : str
-            "linear", or "cubic": Hermite, whose slopes at the samples are the dynamics'.
+        kind : str, optional
+            "dense", the solver's own interpolation, as accurate as the samples; "linear"; or
+            "cubic": Hermite, whose slopes at the samples are the dynamics'. By default "dense"
+            for what a solver of `simulate` made, else "linear".
         system : system
             Continuous-time system of the trajectory; for "cubic" only.
 
@@ -152,9 +178,12 @@ class Trajectory:
         >>> fall.at(0.5, "cubic", system=lambda x: np.stack([x[1], 0 * x[1] - 9.8])).round(3)
         array([-1.225, -4.9  ])
         """
-        _validate.choice("kind", kind, ("linear", "cubic"))
+        kind = kind or ("linear" if self.dense is None else "dense")
+        _validate.choice("kind", kind, ("dense", "linear", "cubic"))
         t = within("t", t, self.times)
         k = interval_of(t, self.times)
+        if kind == "dense":
+            return self._dense_at(t, k)
         if len(self.times) == 1:
             return np.array(self.states[..., k])
         start, end = self.states[..., k], self.states[..., k + 1]
@@ -170,6 +199,15 @@ class Trajectory:
             value = start + s**2 * (3 - 2 * s) * rise
             value += s * (1 - s) * step * ((1 - s) * first - s * last)
         return np.where(s == 1, end, value)
+
+    def _dense_at(self, t: np.ndarray, k: np.ndarray) -> np.ndarray:
+        if self.dense is None:
+            raise ValueError('kind "dense" needs what a solver of simulate made')
+        k = k + (len(self.times) > 1) * (t == self.times[-1])
+        sampled = t == self.times[k]
+        if np.all(sampled):
+            return np.array(self.states[..., k])
+        return np.where(sampled, self.states[..., k], self.dense(t))
 
     def _slopes(self, k: np.ndarray, system: Any) -> tuple[np.ndarray, np.ndarray]:
         """Time derivatives at both ends of each interval k."""
@@ -191,7 +229,10 @@ class Trajectory:
         return ends[0], ends[1]
 
     def control_at(self, t: Any) -> np.ndarray:
-        """Interpolate the control: linear if one per time, else held.
+        """The control between the samples.
+
+        That of the run where it was a function of time: held, if it was held. The samples of a
+        policy u(x, t) are interpolated: linear if one per time, else held.
 
         Parameters
         ----------
@@ -215,12 +256,18 @@ class Trajectory:
         controls = self._controls()
         t = within("t", t, self.times)
         k = interval_of(t, self.times)
+        last = (t == self.times[-1]) & (self.control_hold == "time")
+        if self.plan is not None:
+            value = self.plan(t).reshape(*controls.shape[:-1], *t.shape)
+            return np.where(
+                last, controls[..., -1:].reshape(*controls.shape[:-1], *[1] * t.ndim), value
+            )
         if self.control_hold == "interval" or len(self.times) == 1:
             return np.array(controls[..., k])
         s = (t - self.times[k]) / (self.times[k + 1] - self.times[k])
         return (1 - s) * controls[..., k] + s * controls[..., k + 1]
 
-    def resample(self, times: Any, kind: str = "linear", *, system: Any = None) -> Trajectory:
+    def resample(self, times: Any, kind: str | None = None, *, system: Any = None) -> Trajectory:
         """Interpolate states and controls at other times.
 
         Parameters
@@ -246,7 +293,8 @@ class Trajectory:
         if self.controls is not None:
             controls = self.control_at(times[:-1] if self.control_hold == "interval" else times)
         states = self.at(times, kind, system=system)
-        return replace(self, times=times, states=states, controls=controls)
+        run = replace(self, times=times, states=states, controls=controls)
+        return of_run(run, self.dense, self.plan)
 
     def path(self) -> np.ndarray:
         """The states alone, without times: a geometric path.
@@ -271,7 +319,8 @@ class Trajectory:
         -------
         x0 : array, shape (n,)
         u : ControlTrajectory
-            Piecewise linear if there is one control per time, else piecewise constant.
+            The run's own where its control was a function of time: simulating again repeats it.
+            Else piecewise linear if there is one control per time, or piecewise constant.
 
         Examples
         --------
@@ -279,9 +328,60 @@ class Trajectory:
         ControlTrajectory(m=1, 2 pieces of degree 0 over [0, 2] s)
         """
         controls = self._single("to_control_space")._controls()
+        if self.plan is not None:
+            return np.array(self.states[:, 0]), self.plan.between(*self.times[[0, -1]])
         held = self.control_hold == "interval"
         form = ControlTrajectory.piecewise_constant if held else ControlTrajectory.piecewise_linear
         return np.array(self.states[:, 0]), form(self.times, controls)
+
+    def step_info(
+        self, state: int | str = 0, *, final: float | None = None, **options: Any
+    ) -> dict[str, float]:
+        """Rise time, overshoot, settling time of a state's step.
+
+        The state is counted from where it starts, by `control.step_info`.
+
+        Parameters
+        ----------
+        state : int or str
+            Index or label.
+        final : float, optional
+            Value it is to settle at; by default the last one.
+        **options
+            SettlingTimeThreshold and RiseTimeLimits of `control.step_info`.
+
+        Returns
+        -------
+        dict
+            "RiseTime", "SettlingTime" [s], "Overshoot" [%], "Peak", ... of python-control.
+
+        Raises
+        ------
+        ValueError
+            If there is no such state, or it ends where it starts.
+
+        Examples
+        --------
+        >>> import statebook as sb
+        >>> run = sb.simulate(lambda x: 1 - x, [0.0], duration=20)
+        >>> round(run.step_info()["RiseTime"], 2)
+        2.2
+        """
+        import control
+
+        labels = self._single("step_info").state_labels or ()
+        if isinstance(state, str):
+            state = labels.index(_validate.choice("state", state, labels))
+        if _validate.integer("state", state, 0) >= self.n:
+            raise ValueError(f"state must be below n = {self.n}, or a label, got {state}")
+        times = self.times
+        if self.dense is not None:
+            times = np.union1d(times, np.linspace(times[0], times[-1], _FINE))
+        values = self(times)[state]
+        step = (values[-1] if final is None else _validate.number("final", final)) - values[0]
+        if step == 0:
+            raise ValueError(f"{labels[state]} ends where it starts, at {values[0]:g}: no step")
+        return control.step_info(values - values[0], times, yfinal=step, **options)
 
     def to_response(self) -> control.TimeResponseData:
         """Convert to python-control's response; a batch becomes its traces.
@@ -421,3 +521,12 @@ class Trajectory:
                 "make one from states[:, i]"
             )
         return self
+
+
+def of_run(
+    samples: Trajectory, dense: DenseOutput | None, plan: ControlTrajectory | None
+) -> Trajectory:
+    """The trajectory of a run: its samples, and what is known between them."""
+    object.__setattr__(samples, "dense", dense)
+    object.__setattr__(samples, "plan", plan)
+    return samples

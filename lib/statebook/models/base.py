@@ -51,9 +51,30 @@ class Model:
         TypeError, ValueError
             x or u is not made of finite numbers, or has another shape.
         """
-        x, u = self._arguments(x, u)
-        rows = self._derivative(x, u)
-        return np.stack([row + np.zeros(x.shape[1:]) for row in rows])
+        return self.rate(*self._arguments(x, u))
+
+    def rate(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Evaluate x' = f(x, u) for arrays that need no check, as in a simulation.
+
+        Parameters
+        ----------
+        x : array, shape (n,) or (n, N)
+        u : array, shape (m,) or (m, N)
+
+        Returns
+        -------
+        array, shape (n,) or (n, N)
+
+        Examples
+        --------
+        >>> import statebook as sb
+        >>> sb.Particle(m=2.0).rate(np.array([0.0, 1.0]), np.array([3.0]))
+        array([1. , 1.5])
+        """
+        value = np.empty(x.shape, np.result_type(x, u))
+        for i, row in enumerate(self._derivative(x, u)):
+            value[i] = row
+        return value
 
     def _derivative(self, x: np.ndarray, u: np.ndarray) -> Sequence[np.ndarray]:
         """Return the rows of f(x, u); a row that does not depend on x may be one number."""

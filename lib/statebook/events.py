@@ -1,0 +1,116 @@
+"""Events: the times at which a function of the state passes zero."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy
+
+from statebook import _validate
+
+
+@dataclass(frozen=True, eq=False)
+class Event:
+    """A moment at which an event's function passed zero.
+
+    Parameters
+    ----------
+    label : str
+        Which event: its key, or its function's ``label`` or name.
+    time : float [s]
+    state : array, shape (n,)
+
+    Examples
+    --------
+    >>> Event("impact", 1.5, np.array([0.0, -3.0]))
+    Event(impact at t = 1.5 s)
+    """
+
+    label: str
+    time: float
+    state: np.ndarray
+
+    def __repr__(self) -> str:
+        return f"Event({self.label} at t = {self.time:.6g} s)"
+
+
+class Watch:
+    """One event's function, its options, and its last value."""
+
+    def __init__(self, label: str, function: Callable[..., Any], x: np.ndarray, t: float) -> None:
+        self.label, self._function = label, function
+        try:
+            names = list(inspect.signature(function).parameters)
+        except (TypeError, ValueError):  # built in C: nothing to read
+            names = []
+        # SciPy's order is told by the names: f(t, y).
+        self._time_first = len(names) > 1 and names[0] in ("t", "time", "_t")
+        self._alone = len(names) == 1
+        terminal = getattr(function, "terminal", False)
+        self._left = np.inf if terminal is False else _validate.integer(
+            f"terminal of event {label}", int(terminal), 1
+        )  # fmt: skip
+        self._direction = _validate.number(
+            f"direction of event {label}", getattr(function, "direction", 0)
+        )
+        self._value = self(x, t)
+
+    def __call__(self, x: np.ndarray, t: float) -> float:
+        """Evaluate the function."""
+        order = (x,) if self._alone else (t, x) if self._time_first else (x, t)
+        value = np.asarray(self._function(*order))
+        if value.size != 1 or value.dtype.kind not in "biuf":
+            raise TypeError(
+                f"event {self.label} must return one real number from (x, t), got {value!r}"
+                f" at t = {t:.6g}"
+            )
+        return float(value.reshape(()))
+
+    def passed(self, x: np.ndarray, t: float) -> bool:
+        """Whether the function has passed zero since it was last asked."""
+        before, self._value = self._value, self(x, t)
+        rising = before < 0 <= self._value and self._direction >= 0
+        falling = before > 0 >= self._value and self._direction <= 0
+        return rising or falling
+
+    def locate(self, state: Callable[[float], np.ndarray], start: float, end: float) -> Event:
+        """Find when the function passed zero within a step."""
+
+        def value(t: float) -> float:
+            return self(state(t), t)
+
+        time = end
+        if self._value != 0 and value(start) * value(end) < 0:
+            time = scipy.optimize.brentq(value, start, end, xtol=1e-15, rtol=1e-15)
+        return Event(self.label, float(time), state(time))
+
+    def ends(self) -> bool:
+        """Count an event; whether it was the last that a terminal event allows."""
+        self._left -= 1
+        return self._left <= 0
+
+
+def watches(events: Any, x: np.ndarray, t: float) -> list[Watch]:
+    """Check events: a function, functions, or functions by their labels."""
+    if events is None:
+        return []
+    if x.ndim > 1:
+        raise ValueError(
+            f"events take one trajectory, got a batch of {x.shape[1]}: simulate one at a time"
+        )
+    if callable(events):
+        events = [events]
+    if not isinstance(events, Mapping | list | tuple):
+        raise TypeError(f"events must be a function e(x, t), or several, got {events!r}")
+    named = events.items() if isinstance(events, Mapping) else ((None, e) for e in events)
+    result = []
+    for label, function in named:
+        if not callable(function):
+            raise TypeError(f"events must be functions e(x, t), got {function!r}")
+        label = label or getattr(function, "label", None) or getattr(function, "__name__", None)
+        result.append(Watch(str(label or type(function).__name__), function, x.copy(), t))
+    return result

@@ -1,0 +1,187 @@
+"""A run of a simulation, from its first step to its trajectory."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from statebook.control_trajectory import ControlTrajectory
+from statebook.dense_output import DenseOutput, Steps
+from statebook.errors import DivergenceError
+from statebook.policies import Control, Stretch, held, of_plan
+from statebook.probes import arguments_of
+from statebook.solvers import SOLVERS
+from statebook.stepping import Flow, Solver, StoppedError, fixed_steps, iterate
+from statebook.systems import System
+from statebook.times import tick
+from statebook.trajectory import Trajectory, of_run
+
+_CONTRADICTION = 1e4  # tolerances
+_LOOSE = 0.3  # of the states: what no tolerance makes a contradiction
+
+
+def through(
+    system: System,
+    steps: Steps,
+    solver: Solver,
+    stretches: Iterable[Stretch],
+    control: Callable[[], Control],
+    *,
+    per_interval: bool = False,
+) -> Trajectory:
+    """Run a system in continuous time through stretches; control() is asked at the end."""
+    flow = Flow(system, batch=steps.state.ndim == 2)
+    last = float(steps.times[-1])
+
+    def work() -> None:
+        if solver.method in SOLVERS:
+            solver.run(flow, steps, stretches, last)
+        else:
+            fixed_steps(flow, steps, stretches, solver.method)
+
+    stop = _attempt(work)
+    with np.errstate(all="ignore"):
+        dense, felt = steps.settle(), control()
+    states, times = _samples(steps)
+    beyond = ~np.isfinite(states.reshape(-1, len(times))).all(axis=0)
+    if beyond.any():  # within the last step, or where an interpolation asks outside the domain
+        states, times = states[..., : np.argmax(beyond)], times[: np.argmax(beyond)]
+        why = "the interpolated state is not finite"
+        stop = stop or StoppedError(why, times[-1], states[..., -1])
+    controls = None
+    if system.m:
+        with np.errstate(all="ignore"):
+            at = times[:-1] if per_interval else times
+            controls = felt.values(states, at)
+    run = _trajectory(system, solver, states, times, controls, stop, dense, felt.plan)
+    if stop is not None:
+        raise _divergence(system, stop, run, steps)
+    if felt.is_policy and controls is not None and dense is not None and dense.curve:
+        with np.errstate(all="ignore"):
+            _warn_of_contradiction(run, dense, controls, flow, solver)
+    return run
+
+
+def iterated(
+    system: System,
+    steps: Steps,
+    solver: Solver,
+    control: Control,
+    *,
+    lag: int = 0,
+    before: np.ndarray | None = None,
+    per_interval: bool = False,
+) -> Trajectory:
+    """Run a system in discrete time; the controls of all its samples are kept.
+
+    The control arrives `lag` samples later; until then, `before` acts.
+    """
+    dt, start = float(system.dt or 1), steps.time
+    flow = Flow(system, batch=steps.state.ndim == 2)
+    applied: list[np.ndarray] = []
+    stop = _attempt(lambda: iterate(flow, steps, control.policy, dt, lag, before, applied))
+    states, times = _samples(steps)
+    controls = plan = None
+    if system.m:
+        at = times[:-1] if per_interval else times
+        picked = np.round((at - start) / dt).astype(int)
+        controls = np.moveaxis(np.array(applied)[picked], 0, -1)
+        held = np.array(applied[: round((times[-1] - start) / dt)]).reshape(
+            -1, controls[..., 0].size
+        )
+        if len(held) and np.isfinite(held).all():
+            breaks = np.array([tick(start, dt, k) for k in range(len(held) + 1)])
+            plan = of_plan(ControlTrajectory(breaks, held[None]), system.m, control.batch).plan
+    run = _trajectory(system, solver, states, times, controls, stop, None, plan)
+    if stop is not None:
+        raise _divergence(system, stop, run, steps)
+    return run
+
+
+def may_vary(system: System) -> bool:
+    """Whether the dynamics may depend on time by themselves."""
+    source = system.source
+    if source is None or hasattr(source, "nstates"):
+        return not system.linear
+    return not hasattr(source, "dynamics") and arguments_of(source)[1] > 2
+
+
+def _attempt(work: Callable[[], object]) -> StoppedError | None:
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        # An overflow is reported as the divergence it is; the solver's status says the rest.
+        warnings.filterwarnings("ignore", module=r"scipy\.")
+        try:
+            work()
+        except StoppedError as stop:
+            return stop
+    return None
+
+
+def _samples(steps: Steps) -> tuple[np.ndarray, np.ndarray]:
+    states = np.concatenate(steps.samples, axis=-1)
+    return states, steps.times[: states.shape[-1]]
+
+
+def _trajectory(
+    system: System,
+    solver: Solver,
+    states: np.ndarray,
+    times: np.ndarray,
+    controls: np.ndarray | None,
+    stop: StoppedError | None,
+    dense: DenseOutput | None,
+    plan: ControlTrajectory | None,
+) -> Trajectory:
+    if controls is not None and not np.isfinite(controls).all():
+        if stop is None:
+            k = int(np.argmin(np.isfinite(controls).reshape(-1, controls.shape[-1]).all(axis=0)))
+            raise ValueError(f"u(x, t) must be finite, got {controls[..., k]} at t = {times[k]:g}")
+        controls = None  # the control is what stopped the simulation
+    samples = Trajectory(
+        times,
+        states,
+        controls,
+        state_labels=system.states,
+        input_labels=None if controls is None else system.inputs,
+        events=tuple(solver.found),
+    )
+    return of_run(samples, dense, None if controls is None else plan)
+
+
+def _divergence(
+    system: System, stop: StoppedError, run: Trajectory, steps: Steps
+) -> DivergenceError:
+    return DivergenceError(
+        f"simulation of {system.name} stopped at t = {stop.time:.6g}, x = "
+        f"{np.array2string(stop.state, precision=4, threshold=8)}: {stop}; "
+        f"{len(run.times)} of {len(steps.times)} samples are in .trajectory",
+        time=stop.time,
+        state=stop.state,
+        trajectory=run,
+    )
+
+
+def _warn_of_contradiction(
+    run: Trajectory, dense: DenseOutput, controls: np.ndarray, flow: Flow, solver: Solver
+) -> None:
+    """Compare the dynamics under the returned controls with the slopes of the motion."""
+    slopes, lengths = dense.slopes(run.times)
+    if run.states.ndim == 2 and flow.system.batched and not may_vary(flow.system):
+        rates = flow(run.states, held(controls), run.times[0])
+    else:
+        rates = np.empty(run.states.shape)
+        for k, t in enumerate(run.times):
+            rates[..., k] = flow(run.states[..., k], held(controls[..., k]), float(t))
+    size = np.abs(run.states).max(axis=-1, keepdims=True)
+    rtol = min(_CONTRADICTION * solver.rtol, _LOOSE)
+    allowed = _CONTRADICTION * solver.atol.reshape(-1, *[1] * (size.ndim - 1)) + rtol * size
+    worst = (np.abs(rates - slopes) * lengths / allowed).reshape(-1, len(run.times)).max(axis=0)
+    k = int(np.argmax(worst))
+    if worst[k] > 1:
+        warnings.warn(
+            f"the control returned at t = {run.times[k]:.6g} is not one that the motion felt: a "
+            "pulse was stepped over; give max_step=, or the times of the pulse as switches=",
+            stacklevel=4,
+        )

@@ -1,0 +1,145 @@
+"""SciPy's solvers, each trajectory of a batch held to its own tolerance."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import scipy
+
+from statebook.dense_output import StepPolynomial
+
+EXPLICIT = ("RK45", "RK23", "DOP853")
+SOLVERS = (*EXPLICIT, "Radau", "BDF", "LSODA")
+_SAFETY, _SHRINK, _GROW = 0.9, 0.2, 10.0  # of a step, as in SciPy
+_SMALLEST_RTOL = 100 * np.finfo(float).eps  # SciPy's own limit
+
+Rate = Callable[[float, np.ndarray], np.ndarray]
+
+
+class _ByColumns:
+    """An explicit Runge-Kutta step whose error is the worst one of N trajectories.
+
+    SciPy takes the root mean square over all components: over N trajectories, one alone may
+    have sqrt(N) times the tolerance.
+    """
+
+    def __init__(self: Any, *args: Any, columns: int, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self.columns = columns
+        self._nodes = self.C.tolist()
+
+    def _step_impl(self: Any) -> tuple[bool, str | None]:
+        t, y, K, last = float(self.t), self.y, self.K, self.n_stages
+        fun, nodes = self.fun, self._nodes
+        min_step = 10 * (math.nextafter(t, math.inf) - t)
+        h_abs, rejected = max(min(self.h_abs, self.max_step), min_step), False
+        while h_abs >= min_step:
+            t_new = min(t + h_abs, self.t_bound)
+            h = h_abs = t_new - t
+            weights = h * self.A
+            K[0] = self.f
+            for i in range(1, last):
+                stage = y + weights[i, :i].dot(K[:i])
+                K[i] = fun(min(t + nodes[i] * h, t_new), stage)
+            y_new = y + (h * self.B).dot(K[:last])
+            K[last] = fun(t_new, y_new)
+            scale = self.atol + np.maximum(np.abs(y), np.abs(y_new)) * self.rtol
+            error = self._worst(h, scale)  # NaN where the dynamics were
+            if error < 1:
+                factor = min(_GROW, _SAFETY * error**self.error_exponent) if error else _GROW
+                self.h_abs = h_abs * (min(1.0, factor) if rejected else factor)
+                self.h_previous, self.y_old = h, y
+                self.t, self.y, self.f = t_new, y_new, K[last].copy()
+                return True, None
+            factor = 0.0
+            if math.isfinite(error):
+                factor = _SAFETY * error**self.error_exponent
+            else:
+                self._tell(t, y, weights, t_new)
+            h_abs, rejected = h_abs * max(_SHRINK, factor), True
+        return False, self.TOO_SMALL_STEP
+
+    def _tell(self: Any, t: float, y: np.ndarray, weights: np.ndarray, t_new: float) -> None:
+        """Let the first stage that is not finite be explained."""
+        bad = ~np.isfinite(self.K[: self.n_stages]).all(axis=1)
+        i = int(np.argmax(bad))
+        if bad[i] and i:
+            stage = y + weights[i, :i].dot(self.K[:i])
+            self.explain(min(t + self.C[i] * (t_new - t), t_new), stage)
+
+    def _worst(self: Any, h: float, scale: np.ndarray) -> float:
+        """The largest of the columns' error norms, in units of the tolerance."""
+        return h * self._size(self.E.dot(self.K) / scale) ** 0.5
+
+    def _size(self: Any, errors: np.ndarray) -> float:
+        """The largest of the columns' mean squares."""
+        if self.columns == 1:
+            return float(errors.dot(errors)) / errors.size
+        squares = (errors * errors).reshape(-1, self.columns)
+        return float(squares.sum(axis=0).max()) / len(squares)
+
+
+class _Polynomial(_ByColumns):
+    """A step that is known as a polynomial in the time since its start."""
+
+    def dense_output(self: Any) -> StepPolynomial:
+        return StepPolynomial(self.t_old, self.t, self.y_old, self.P.T.dot(self.K))
+
+
+class _RK45(_Polynomial, scipy.integrate.RK45):  # type: ignore[misc]
+    pass
+
+
+class _RK23(_Polynomial, scipy.integrate.RK23):  # type: ignore[misc]
+    pass
+
+
+class _DOP853(_ByColumns, scipy.integrate.DOP853):  # type: ignore[misc]
+    def _worst(self: Any, h: float, scale: np.ndarray) -> float:
+        fifth, third = self.E5.dot(self.K) / scale, self.E3.dot(self.K) / scale
+        if self.columns > 1:  # the same for each column by itself
+            shape = (-1, self.columns)
+            fifth, third = ((e**2).reshape(shape).mean(axis=0) for e in (fifth, third))
+        else:
+            fifth, third = (np.atleast_1d(e.dot(e) / e.size) for e in (fifth, third))
+        below = np.sqrt(fifth + 0.01 * third)
+        return h * float(np.divide(fifth, below, out=0 * fifth, where=below != 0).max())
+
+
+_CLASSES = {"RK45": _RK45, "RK23": _RK23, "DOP853": _DOP853}
+
+
+def start_solver(
+    method: str,
+    rate: Rate,
+    t: float,
+    y: np.ndarray,
+    end: float,
+    *,
+    columns: int,
+    rtol: float,
+    atol: np.ndarray,
+    max_step: float,
+    first_step: float | None,
+) -> Any:
+    """A SciPy solver of `columns` trajectories, as accurate as if each ran alone.
+
+    The explicit ones hold y as (n, N) row by row, the others one trajectory after another.
+    """
+    options: dict[str, Any] = {"max_step": max_step, "first_step": first_step}
+    if method in EXPLICIT:
+        kind = _CLASSES[method]
+        options["columns"] = columns
+    else:
+        kind = getattr(scipy.integrate, method)
+        rtol, atol = rtol / columns**0.5, atol / columns**0.5
+        size = y.size // columns
+        if columns > 1 and method == "LSODA":
+            options.update(lband=size - 1, uband=size - 1)
+        elif columns > 1:
+            blocks = scipy.sparse.kron(scipy.sparse.eye_array(columns), np.ones((size, size)))
+            options.update(jac_sparsity=blocks.tocsc())
+    return kind(rate, t, y, end, rtol=max(rtol, _SMALLEST_RTOL), atol=atol, **options)
