@@ -12,16 +12,19 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from statebook.errors import KinkError
-from statebook.ladder import Ladder, descend, romberg
+from statebook.ladder import Ladder, descend, romberg, slopes_jump
 
 _COMPLEX_STEP = 1e-40  # relative to the scale of a variable
 _RADIUS = 0.019318516525781  # of the first differences: no multiple of anybody's period
 _RADII = _RADIUS * np.array([1.0, 0.5, 0.25])
+_STEPS = np.concatenate([_RADII, -_RADII])
 _FAR = 0.31066017177982  # where f is looked at once more: a staircase is flat nearby
+_CHUNK = 4096  # points that a cache holds
 _ALONE = 64  # points, up to which every column is checked alone
 _TRUSTED = 1e-6  # relative error up to which differences are evidence
 _EPS = float(np.finfo(float).eps)
@@ -29,8 +32,43 @@ _EPS = float(np.finfo(float).eps)
 Evaluate = Callable[[np.ndarray], np.ndarray]
 
 
+def _weights() -> np.ndarray:
+    """Return what turns changes of f at _STEPS into differences, (4, 6).
+
+    The slope of order 6, what it differs by from that of order 4, the jump of the slope free
+    of second and fourth order, and that free of second order alone.
+    """
+    unit, zero = np.eye(6), np.zeros((1, 6))
+    up, down, radii = unit[:3], unit[3:], _RADII[:, None]
+    value, spread = romberg(up, down, radii)
+    jump = slopes_jump(up, down, zero, radii)
+    return np.concatenate([value, spread, (8 * jump[1:] - jump[:1]) / 7, jump[:1]])
+
+
+_WEIGHTS = _weights()
+
+
 class InexactDerivativeWarning(UserWarning):
     """A derivative had to be taken by differences; the message gives its error."""
+
+
+class Derivative(NamedTuple):
+    """A derivative with its evidence; J, error and inexact have shape (N, n, c).
+
+    Attributes
+    ----------
+    J, error : array
+        As derivative returns them.
+    inexact : array of bool
+        What was taken by differences, or hidden by noise from them.
+    flat : array of bool, shape (N, n)
+        Whether f_i bends more than it rises, so that its slope may be rounding.
+    """
+
+    J: np.ndarray
+    error: np.ndarray
+    inexact: np.ndarray
+    flat: np.ndarray
 
 
 def step_scale(z: np.ndarray) -> np.ndarray:
@@ -92,36 +130,43 @@ def differentiate(
     *,
     scale: np.ndarray | None = None,
     labels: Sequence[str] | None = None,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return what derivative does, and which entries the complex step does not vouch for."""
+    f0: np.ndarray | None = None,
+) -> Derivative:
+    """Return what derivative does, with all of its evidence; f0 is f(z), if known."""
     with np.errstate(all="ignore"):
-        return _Differentiation(f, z, columns, scale, labels).result()
+        return _Differentiation(f, z, columns, scale, labels, f0).result()
 
 
 def complex_step(
     f: Evaluate, z: np.ndarray, s: np.ndarray, columns: np.ndarray, step: float = _COMPLEX_STEP
 ) -> np.ndarray | None:
     """Return Im f(z + i h e_j) / h, (n, c, N), unchecked; None where f is real-only."""
-    k, N = z.shape
+    k, N, c = *z.shape, len(columns)
     h = step * s[columns]
     # One call for all columns if they are few; large batches are faster in parts.
-    width = len(columns) if N <= _ALONE else 1
-    parts = []
+    width, length = (c, N) if N <= _ALONE else (1, _CHUNK)
+    J: np.ndarray | None = None
     with warnings.catch_warnings():
         warnings.simplefilter("error", np.exceptions.ComplexWarning)
-        for first in range(0, len(columns), width):
-            chosen = columns[first : first + width]
-            shifted = np.empty((k, len(chosen), N), dtype=complex)
-            shifted[:] = z[:, None]
-            shifted.imag[chosen, np.arange(len(chosen))] = h[first : first + width]
-            try:
-                result = f(shifted.reshape(k, -1))
-            except Exception:  # whatever a function does with numbers it was not written for
-                return None
-            if result.dtype != complex:  # real, or too short for the step
-                return None
-            parts.append(result.imag.reshape(-1, len(chosen), N))
-    return np.concatenate(parts, axis=1) / h if len(parts) > 1 else parts[0] / h
+        for first in range(0, N, length):
+            some = slice(first, first + length)
+            shifted = np.repeat(z[:, None, some].astype(complex), width, axis=1)
+            for a in range(0, c, width):
+                chosen, part = columns[a : a + width], h[a : a + width, some]
+                shifted.imag[chosen, np.arange(width)] = part
+                try:
+                    result = f(shifted.reshape(k, -1))
+                except Exception:  # whatever f does with numbers it was not written for
+                    return None
+                if result.dtype != complex:  # real, or too short for the step
+                    return None
+                if J is None:
+                    J = np.empty((len(result), c, N))
+                np.divide(
+                    result.imag.reshape(-1, width, part.shape[1]), part, out=J[:, a : a + width, some]
+                )
+                shifted.imag[chosen] = 0.0
+    return J
 
 
 def search_jacobian(f: Evaluate, z: np.ndarray, s: np.ndarray) -> np.ndarray:
@@ -157,119 +202,130 @@ class _Differentiation:
         columns: Sequence[int] | None,
         scale: np.ndarray | None,
         labels: Sequence[str] | None,
+        f0: np.ndarray | None,
     ) -> None:
         self.f, self.z = f, z
         self.columns = np.arange(len(z)) if columns is None else np.asarray(columns, dtype=int)
         self.s = step_scale(z) if scale is None else scale
         self.labels = labels or [f"component {j} of (x, u)" for j in range(len(z))]
-        self.f0 = f(z)
-        kind = self.f0.dtype
-        self.eps = float(np.finfo(kind).eps) if kind.kind in "fc" else _EPS
-        if kind.kind != "f" or kind != float:
+        self.f0 = f(z) if f0 is None else f0
+        self.eps = _EPS
+        self._note_precision(self.f0)
+
+    def _note_precision(self, values: np.ndarray) -> None:
+        """A function that returns float32 has no more precision than that."""
+        if values.dtype == np.float32 or values.dtype == np.float16:
+            self.eps = float(np.finfo(values.dtype).eps)
             self.f0 = self.f0.astype(float)
 
-    def result(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return J, its error and where it is inexact, each (N, n, c)."""
+    def result(self) -> Derivative:
         n, N, c = len(self.f0), self.z.shape[1], len(self.columns)
         self.inexact = np.zeros((n, c, N), dtype=bool)
-        if n * N * c == 0:
-            empty = np.zeros((N, n, c))
-            return empty, empty, empty.astype(bool)
-        exact = complex_step(self.f, self.z, self.s, self.columns)
-        J = np.zeros((n, c, N)) if exact is None else np.where(np.isfinite(exact), exact, np.nan)
-        error = np.zeros((n, c, N))
-        if exact is None or N <= _ALONE:
-            self._check_alone(J, error, np.arange(c), np.arange(N), exact is not None)
-        else:
-            self._check_jointly(J, error)
-        J, error, inexact = (a.transpose(2, 0, 1) for a in (J, error, self.inexact))
-        return J, error, inexact
+        self.flat = np.zeros((n, N), dtype=bool)
+        self.error = np.zeros((n, c, N))
+        self.J = np.zeros((n, c, N))
+        if n * N * c:
+            exact = complex_step(self.f, self.z, self.s, self.columns)
+            if exact is not None:
+                self.J = exact if np.isfinite(exact).all() else exact + 0 * exact  # inf to NaN
+            if exact is None or N <= _ALONE:
+                self._check_alone(np.arange(c), np.arange(N), exact is not None)
+            else:
+                self._check_jointly()
+        order = (2, 0, 1)
+        return Derivative(
+            self.J.transpose(order),
+            self.error.transpose(order),
+            self.inexact.transpose(order),
+            self.flat.T,
+        )
 
-    def _check_jointly(self, J: np.ndarray, error: np.ndarray) -> None:
+    def _check_jointly(self) -> None:
         """Check J of many points along random directions, and alone where that says little."""
         rng = np.random.default_rng(0)
-        N, every = J.shape[2], np.arange(J.shape[1])
+        J, N, c = self.J, self.z.shape[1], len(self.columns)
         d = np.zeros((len(self.z), 1))
-        d[self.columns, 0] = rng.uniform(0.5, 1, every.size) * rng.choice([-1, 1], every.size)
-        d = d * self.s
-        radii = 0.05 * _RADII
-        samples = [self.f(self.z + sign * r * d) for r in radii for sign in (1, -1)]
-        up, down = (np.stack(samples[k::2], axis=1) for k in (0, 1))  # (n, 3, N)
-        value, spread, even = romberg(up, down, self.f0[:, None], radii[:, None])
-        shares = J * d[self.columns]
-        expected = shares.sum(axis=1)
-        size = np.abs(shares)
-        terms = size.sum(axis=1)
-        noise = 4 * self.eps * (np.maximum(np.abs(up[:, 0]), np.abs(self.f0)) + terms) / radii[-1]
-        wrong = ~(np.abs(value[:, 0] - expected) <= spread[:, 0] + noise)
-        wrong |= ~(spread[:, 0] <= 1e-8 * terms + noise)
-        wrong |= ~(even[:, 0] <= 1e-6 * terms + 8 * noise)
-        weak = ((size > 0) & (size < 1e-5 * size.max(axis=1)[:, None])).any(axis=(0, 1))
-        again = wrong.any(axis=0) | weak
+        d[self.columns, 0] = rng.uniform(0.5, 1, c) * rng.choice([-1, 1], c)
+        d, shrink = d * self.s, 0.05  # J takes in all columns: smaller steps than alone
+        change = np.stack([self.f(self.z + shrink * r * d) - self.f0 for r in _STEPS], axis=1)
+        value, spread, jump, _ = (_WEIGHTS @ change / shrink).swapaxes(0, 1)
+        size = J * d[self.columns]
+        expected = size.sum(axis=1)
+        np.abs(size, out=size)
+        terms, most = size.sum(axis=1), size.max(axis=1)
+        noise = (16 * self.eps / shrink / _RADII[-1]) * (np.abs(self.f0) + terms)
+        spread = np.abs(spread)
+        right = (np.abs(value - expected) <= 0.1 * spread + noise) & (np.abs(jump) <= 8 * noise + 0.03 * spread)
+        right &= spread <= 1e-8 * terms + noise
+        size[size == 0] = np.inf
+        again = ~right.all(axis=0) | (size.min(axis=1) < 1e-6 * most).any(axis=0)
         # A column that seems to have no part in a row may have one that the step does not see.
         again[rng.choice(N, _ALONE // 2, replace=False)] = True
         points = np.flatnonzero(again)
         before = J[..., points].copy()
-        self._check_alone(J, error, every, points, True)
-        changed = ((before != J[..., points]) | (error[..., points] > 0)).any(axis=(0, 2))
-        self._check_alone(J, error, every[changed], np.flatnonzero(~again), True)
+        self._check_alone(np.arange(c), points, True)
+        changed = ((before != J[..., points]) | (self.error[..., points] > 0)).any(axis=(0, 2))
+        if changed.any():
+            self._check_alone(np.flatnonzero(changed), np.flatnonzero(~again), True)
 
-    def _check_alone(
-        self, J: np.ndarray, error: np.ndarray, cols: np.ndarray, points: np.ndarray, known: bool
-    ) -> None:
-        """Check columns of J, or find them where they are not known, one by one, in place."""
-        if cols.size * points.size == 0:
-            return
+    def _check_alone(self, cols: np.ndarray, points: np.ndarray, known: bool) -> None:
+        """Check columns of J, or find them where they are not known, one by one."""
         chosen, z, s = self.columns[cols], self.z[:, points], self.s[:, points]
-        f0, s_j = self.f0[:, None, None, points], s[chosen]
-        steps = np.concatenate([_RADII, -_RADII, [_FAR] if known else []])
-        shifted = np.broadcast_to(
-            z[:, None, None], (len(z), cols.size, steps.size, points.size)
-        ).copy()
+        f0, s_j = self.f0[:, None, points], s[chosen]
+        steps = np.append(_STEPS, _FAR) if known else _STEPS
+        shifted = np.empty((len(z), cols.size, steps.size, points.size))
+        shifted[:] = z[:, None, None]
         shifted[chosen, np.arange(cols.size)] += steps[:, None] * s_j[:, None]
         values = self.f(shifted.reshape(len(z), -1)).reshape(-1, *shifted.shape[1:])
-        up, down = values[:, :, :3], values[:, :, 3:6]
-        T, spread, even = (a[:, :, -1] for a in romberg(up, down, f0, _RADII[:, None]))
-        here = np.ix_(range(len(J)), cols, points)
-        size = np.abs(values - f0)
+        self._note_precision(values)
+        moved = values - f0[:, :, None]
+        T, spread, jump, bend = np.moveaxis(_WEIGHTS @ moved[:, :, :6], 2, 0)
+        size = np.abs(moved)
         change = size[:, :, :6].max(axis=2)
+        here: Any = np.ix_(np.arange(len(self.J)), cols, points)
+        if (here[0].size, cols.size, points.size) == self.J.shape:
+            here = ...  # much faster
         if known:
-            self._drop_residue(J, here, change / s_j)
-        share = J[here] * s_j if known else T
-        row = np.maximum(np.abs(share), change / _RADIUS).max(axis=1)[:, None]
-        noise = 2 * self.eps * (np.abs(values[:, :, :6]).max(axis=2) + np.abs(f0[:, :, 0]))
-        noise = noise + self.eps * np.abs(share)
-        err = spread + noise / _RADII[-1]
-        still = ~size.any(axis=2)  # f_i does not depend on z_j
-        good = err <= np.where(known, 1e-3 * np.abs(share), 0.0) + 1e-7 * np.abs(row)
-        good &= ~(even > 20 * noise / _RADII[-1])
+            self._drop_residue(here, cols, points, change / s_j)
+        share = self.J[here] * s_j if known else T
+        part = np.abs(share)
+        rate = (change / _RADIUS).max(axis=1)
+        row = np.maximum(part.max(axis=1), rate)[:, None]
+        noise = (4 * self.eps / _RADII[-1]) * (np.abs(f0) + change)
+        err = np.abs(spread) + noise
+        good = np.abs(jump) <= 20 * noise + 3e-3 * np.abs(bend) + 0.03 * np.abs(spread)
         if known:
-            good &= np.abs(T - share) <= err
-            rest = np.abs(values - f0 - share[:, :, None] * steps[:, None])
-            near, far = rest[:, :, :6].max(axis=2), rest[:, :, 6]
-            good &= ~(far > 1e8 * np.maximum(near, noise))
-            good |= still & (share == 0)
+            good &= err <= 1e-3 * part + 1e-7 * row
+            good &= np.abs(T - share) <= 0.1 * np.abs(spread) + noise
             # A slope that the rounding of z makes (of cos at pi/2) is a zero.
-            bend = np.abs(up[:, :, 0] + down[:, :, 0] - 2 * f0[:, :, 0]) / _RADIUS**2
-            blur = 2 * _EPS * np.abs(z[chosen]) / s_j * bend
-            tiny = good & (share != 0) & (np.abs(share) <= blur)
-            J[here] = np.where(tiny, 0.0, J[here])
-            # Noise hides an entry: search for it, unless it is itself no more than rounding.
-            hidden = good & (share != 0) & ~tiny & (err > 1e-3 * np.abs(share))
-            good &= ~hidden | (np.abs(share) <= 16 * _EPS * row)
+            even = np.abs(moved[:, :, 0] + moved[:, :, 3]) / _RADIUS**2
+            tiny = part <= 2 * _EPS * np.abs(z[chosen]) / s_j * even
+            # Noise may hide an entry: look further, unless it is itself no more than rounding.
+            good &= (noise <= 1e-3 * part) | (part <= 16 * _EPS * row) | tiny
+            rest = np.abs(moved - share[:, :, None] * steps[:, None])
+            near = np.maximum(rest[:, :, :6].max(axis=2), noise)
+            good &= rest[:, :, 6] <= 1e8 * near  # or it was the tread of a stair
+            good |= (share == 0) & (np.maximum(change, size[:, :, 6]) == 0)
+            self.J[here] = np.where(tiny & good, 0.0, self.J[here])
         else:
+            still = change == 0
+            good &= err <= 1e-7 * row
             good &= ~still.all(axis=0)  # a column without effect may be a stair's tread
-            J[here] = np.where(np.abs(T) <= err, 0.0, T) / s_j
-            error[here] = np.where(still, 0.0, err) / s_j
+            self.J[here] = np.where(np.abs(T) <= err, 0.0, T) / s_j
+            self.error[here] = np.where(still, 0.0, err) / s_j
             self.inexact[here] = ~still
-        for a in np.flatnonzero(~good.all(axis=(0, 2))):
-            bad = np.flatnonzero(~good[:, a].all(axis=0))
-            for part in np.array_split(points[bad], -(-bad.size // 256)):
-                self._search(J, error, int(cols[a]), part, known)
+        self.flat[:, points] |= part.max(axis=1) < 0.1 * rate
+        if not good.all():
+            for a in np.flatnonzero(~good.all(axis=(0, 2))):
+                bad = np.flatnonzero(~good[:, a].all(axis=0))
+                for some in np.array_split(points[bad], -(-bad.size // 256)):
+                    self._search(int(cols[a]), some, known)
 
-    def _drop_residue(self, J: np.ndarray, here: tuple[np.ndarray, ...], rate: np.ndarray) -> None:
-        """Put zeros for what the step leaves of a zero slope, as of x^3 at 0, in place."""
-        _, cols, points = (index.ravel() for index in here)
+    def _drop_residue(
+        self, here: Any, cols: np.ndarray, points: np.ndarray, rate: np.ndarray
+    ) -> None:
+        """Put zeros for what the step leaves of a zero slope, as of x^3 at 0."""
+        J = self.J
         suspect = (J[here] != 0) & ~(np.abs(J[here]) > 1e-18 * rate)
         if suspect.any():
             z, s = self.z[:, points], self.s[:, points]
@@ -278,11 +334,9 @@ class _Differentiation:
                 steady = np.abs(again - J[here]) <= 1e-3 * np.abs(J[here])
                 J[here] = np.where(suspect & ~steady, 0.0, J[here])
 
-    def _search(
-        self, J: np.ndarray, error: np.ndarray, a: int, points: np.ndarray, known: bool
-    ) -> None:
-        """Find column a of J at points where the first differences did not settle, in place."""
-        j = int(self.columns[a])
+    def _search(self, a: int, points: np.ndarray, known: bool) -> None:
+        """Find column a of J at points where the first differences did not settle."""
+        J, error, j = self.J, self.error, int(self.columns[a])
         z, s = self.z[:, points], self.s[j, points]
 
         def along(steps: np.ndarray, which: np.ndarray) -> np.ndarray:
@@ -302,12 +356,15 @@ class _Differentiation:
         agree = np.abs(exact - value) <= 3 * err
         trusted = err <= _TRUSTED * np.abs(exact)
         # Where noise hides the slope, the complex step stands, with what is known of it.
-        kept = np.where(np.abs(exact) <= ladder.residue, 0.0, exact)
-        doubt = np.where(trusted | ladder.still | (kept != exact), 0.0, np.abs(exact - value) + err)
+        rounding = np.abs(exact) <= ladder.residue
+        kept = np.where(rounding, 0.0, exact)
+        sure = trusted | rounding | ladder.still | ((exact == 0) & (value == 0))
+        doubt = np.where(sure, 0.0, np.abs(exact - value) + err)
         J[:, a, points] = np.where(agree, kept, value)
         error[:, a, points] = np.where(agree, doubt, np.maximum(err, _EPS * np.abs(value)))
-        row = np.abs(J[:, :, points] * self.s[self.columns][:, points]).max(axis=1)
-        self.inexact[:, a, points] = ~agree | (doubt * s > _TRUSTED * row)
+        row = np.abs(J[:, :, points] * self.s[self.columns][:, points]).max(axis=1) / s
+        hidden = doubt > _TRUSTED * np.maximum(row, ladder.rate)
+        self.inexact[:, a, points] = ~agree | hidden
 
     def _refuse(self, ladder: Ladder, j: int) -> None:
         """Raise where column j has no derivative."""

@@ -13,7 +13,7 @@ from statebook import _validate
 from statebook.derivatives import search_jacobian
 from statebook.errors import EquilibriumNotFoundError
 from statebook.invariants import invariants
-from statebook.residuals import labels_among, noise_of, point, scale_of, values_by_label
+from statebook.residuals import labels_among, mapping, noise_of, point, scale_of, values_by_label
 from statebook.systems import System, as_system, output_map, time_of
 
 _EPS = float(np.finfo(float).eps)
@@ -204,7 +204,7 @@ def find_equilibrium(
         z, accepted = _search(problem, problem.guess, low, high, allowed)
         if not accepted:
             raise _not_found(problem, z)
-        z = _nearest(problem, z, low, high, allowed)
+        z = _nearest(problem, _less_singular(problem, z, low, high, allowed), low, high, allowed)
         z = _with_invariants(problem, z, low, high, allowed)
         return _result(problem, z, labels)
 
@@ -234,13 +234,10 @@ def _named_guesses(system: Any, x_guess: Any, u_guess: Any) -> tuple[System, np.
 
 def _rates(derivative: Any, states: Sequence[str]) -> dict[str, float | None]:
     """Return the wanted derivatives by label; None leaves one open."""
-    if derivative is None:
-        return {}
-    given = values_by_label(
-        "derivative", {k: v for k, v in dict(derivative).items() if v is not None}, states
-    )
-    open_ones = labels_among("derivative", [k for k, v in derivative.items() if v is None], states)
-    return {**given, **dict.fromkeys(open_ones)}
+    wanted = mapping("derivative", derivative, states, "1.0")
+    open_ones = labels_among("derivative", [k for k, v in wanted.items() if v is None], states)
+    given = {k: v for k, v in wanted.items() if v is not None}
+    return {**values_by_label("derivative", given, states), **dict.fromkeys(open_ones)}
 
 
 def _wanted(outputs: Any, system: System) -> dict[str, float]:
@@ -258,9 +255,8 @@ def _bounds(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the bounds of the unknowns."""
     low, high = (np.full(problem.z0.size, v) for v in (-np.inf, np.inf))
-    if bounds is not None and not isinstance(bounds, Mapping):
-        raise TypeError(f"bounds must map labels to (low, high), as {{{labels[0]!r}: (0, 1)}}")
-    for label in labels_among("bounds", tuple(bounds or ()), labels):
+    bounds = mapping("bounds", bounds, labels, "(0.0, 1.0)")
+    for label in labels_among("bounds", tuple(bounds), labels):
         try:
             pair = np.array(bounds[label], dtype=float).reshape(2)
         except (TypeError, ValueError):
@@ -429,6 +425,39 @@ def _nearest(
     return z
 
 
+def _less_singular(
+    problem: _Problem, z: np.ndarray, low: np.ndarray, high: np.ndarray, allowed: float
+) -> np.ndarray:
+    """Return a zero nearer to the guess where Newton's method went into a singular one.
+
+    Where a product has to vanish, Newton's method makes all its factors small. A pull towards
+    the guess that fades lets the one go that is cheapest.
+    """
+
+    def rank(at: np.ndarray) -> int:
+        J = problem.jacobian(at) * problem.s
+        return int(np.linalg.matrix_rank(np.nan_to_num(J), rtol=_RANK)) if J.any() else 0
+
+    if rank(z) >= min(rank(problem.guess), z.size):
+        return z
+    size = problem.terms(problem.guess, problem.jacobian(problem.guess))
+    size = np.where((size > 0) & np.isfinite(size), size, 1.0)
+    end = problem.guess
+    for pull in 10.0 ** -np.arange(1.0, 7.0):
+        weights = pull * np.eye(z.size)
+
+        def pulled(w: np.ndarray, weights: np.ndarray = weights) -> np.ndarray:
+            return np.concatenate([problem(problem.guess + w * problem.s) / size, weights @ w])
+
+        start = (end - problem.guess) / problem.s
+        end = problem.guess + problem.s * scipy.optimize.least_squares(pulled, start).x
+    end = _newton(problem, np.clip(end, low, high), low, high, _STEPS)
+    nearer = np.linalg.norm((end - problem.guess) / problem.s) < np.linalg.norm(
+        (z - problem.guess) / problem.s
+    )
+    return end if nearer and _accepts(problem, end, allowed) else z
+
+
 def _tangent(J: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Return the part of v that J maps to 0, rows of J counting in units of their own."""
     rows = np.abs(J).max(axis=1, initial=0.0)
@@ -474,26 +503,32 @@ def _with_invariants(
 
 def _result(problem: _Problem, z: np.ndarray, labels: Sequence[str]) -> Equilibrium:
     """Return the equilibrium at an accepted zero, with its rank."""
+    clean = np.where(np.abs(z) < _EPS * problem.s, 0.0, z)
+    if (np.abs(problem(clean)) <= np.abs(problem(z))).all():
+        z = clean
     F, J = np.abs(problem(z)), problem.jacobian(z)
     terms = problem.terms(z, J)
     residual = float((F / np.where(terms > 0, terms, 1.0)).max(initial=0.0))
-    scaled = J * problem.s
-    rows = np.abs(scaled).max(axis=1, initial=0.0)
-    rows = np.where(rows > 0, rows, 1.0)[:, None]
-    scaled = scaled / rows
-    U, values, V = np.linalg.svd(scaled)
     # A singular value that changes by itself within the noise of the zero is none.
-    noise = _noise(problem, z) / 8
     infinite = np.full(z.size, np.inf)
-    blur = np.abs(_shortest(problem, J, noise, z, -infinite, infinite))
-    blur = np.maximum(blur, 4 * _EPS * np.maximum(problem.s, np.abs(z)))
-    change = problem.jacobian(z + blur) * problem.s / rows - scaled
+    blur = np.abs(_shortest(problem, J, _noise(problem, z) / 8, z, -infinite, infinite))
+    size = np.maximum(problem.s, np.abs(z))
+    blur = np.clip(np.nan_to_num(blur), 4 * _EPS * size, 1e-3 * size)
+    change = np.nan_to_num(problem.jacobian(z + blur) - J) * problem.s
+    scaled = J * problem.s
+    rows = np.maximum(np.abs(scaled), np.abs(change)).max(axis=1, initial=0.0)
+    rows = np.where(rows > 0, rows, 1.0)[:, None]
+    columns = np.abs(scaled / rows).max(axis=0, initial=0.0)
+    columns = np.where(columns > 1e-12, columns, 1.0)
+    scaled, change = scaled / rows / columns, change / rows / columns
+    U, values, V = np.linalg.svd(scaled)
     k = values.size
-    blurred = 2 * np.abs(np.einsum("ik,ij,kj->k", U[:, :k], np.nan_to_num(change), V[:k]))
+    blurred = 2 * np.abs(np.einsum("ik,ij,kj->k", U[:, :k], change, V[:k]))
     kept = values > np.maximum(_RANK * values.max(initial=0.0), blurred)
     null = V[[i for i in range(z.size) if i >= k or not kept[i]]]
     degenerate, free = False, np.zeros(z.size, dtype=bool)
-    for v in null:
+    for v in null / columns:
+        v = v / np.linalg.norm(v)
         moved = z + 1e-3 * v * problem.s
         end = _newton(problem, moved, -infinite, infinite, 60)
         path = (end - z) / problem.s / 1e-3 if _accepts(problem, end, 0.0) else 0.0 * v

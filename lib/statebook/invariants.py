@@ -80,15 +80,19 @@ def invariants(
     if np.count_nonzero(good) < n + i.size + 5:
         return None
     x, dx = x[:, good], dx[:, good]
+    moving = dx.any(axis=1)  # a state that never moves is a parameter, and keeps nothing
     after = x + dx if discrete else x
     pairs = x[i] * dx[j] + after[j] * dx[i] if discrete else x[i] * dx[j] + x[j] * dx[i]
     table = np.concatenate([dx, pairs]).T
+    used = np.concatenate([moving, moving[i] & moving[j]])
     scale = np.abs(table).max(axis=0)
     unit = np.where(scale > 0, scale, 1.0)
-    _, values, V = np.linalg.svd(table / unit)
-    null = V[np.count_nonzero(values > _ACCURACY * values.max(initial=0.0)) :] / unit
-    if len(null) == 0:
+    _, values, V = np.linalg.svd((table / unit)[:, used])
+    open_ones = V[np.count_nonzero(values > _ACCURACY * values.max(initial=0.0)) :]
+    if len(open_ones) == 0:
         return None
+    null = np.zeros((len(open_ones), used.size))
+    null[:, used] = open_ones / unit[used]
     null, _ = np.linalg.qr(null.T)  # orthonormal coefficients: what can be told apart is
     a, P = null.T[:, :n], np.zeros((null.shape[1], n, n))
     P[:, i, j] += null.T[:, n:] / 2

@@ -21,15 +21,14 @@ _EPS = float(np.finfo(float).eps)
 
 
 def romberg(
-    up: np.ndarray, down: np.ndarray, f0: np.ndarray, radii: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    up: np.ndarray, down: np.ndarray, radii: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Extrapolate central differences over radii that halve along the last axis but one.
 
     Parameters
     ----------
     up, down : array, shape (..., R, P)
         f at +radius and -radius.
-    f0 : array, shape (..., 1, P)
     radii : array, shape (R, 1) or (R, P)
 
     Returns
@@ -37,17 +36,12 @@ def romberg(
     value : array, shape (..., R - 2, P)
         Slopes of order 6.
     spread : array, shape (..., R - 2, P)
-        What they differ by from those of order 4.
-    jump : array, shape (..., R - 2, P)
-        By how much the slopes on both sides differ, beyond what smoothness may leave of it.
+        By what they differ from those of order 4.
     """
     slope = (up - down) / (2 * radii)
     fourth = (4 * slope[..., 1:, :] - slope[..., :-1, :]) / 3
     value = (16 * fourth[..., 1:, :] - fourth[..., :-1, :]) / 15
-    jump = slopes_jump(up, down, f0, radii)
-    larger, smaller = jump[..., :-1, :], jump[..., 1:, :]
-    lasting = np.abs(8 * smaller - larger) / 7 - 3e-3 * np.abs(larger)
-    return value, np.abs(value - fourth[..., 1:, :]), lasting
+    return value, value - fourth[..., 1:, :]
 
 
 def slopes_jump(up: np.ndarray, down: np.ndarray, f0: np.ndarray, radii: np.ndarray) -> np.ndarray:
@@ -72,6 +66,8 @@ class Ladder:
         There is no slope: f has only one side, two slopes, or none that settles.
     sides : array, shape (2, n, P)
         The slopes below and above the point.
+    rate : array
+        The largest change over the scale of the variable, over that scale.
     """
 
     value: np.ndarray
@@ -82,6 +78,7 @@ class Ladder:
     kink: np.ndarray
     unsettled: np.ndarray
     sides: np.ndarray
+    rate: np.ndarray
 
 
 def descend(
@@ -131,9 +128,9 @@ def descend(
         _measure_stairs(stairs, along, values - start, slope, r, noise)
     noise = noise + stairs[:, None]
 
-    value, spread, _ = romberg(up, down, start, r)
+    value, spread = romberg(up, down, r)
     blur = noise[:, 2:] / r[2:]
-    error = spread + 2 * blur
+    error = np.abs(spread) + 2 * blur
     # What holds on a rung must hold on those below, but for their noise.
     for step in range(1, value.shape[1]):
         apart = np.abs(value[:, :-step] - value[:, step:]) - 8 * blur[:, step:]
@@ -163,7 +160,7 @@ def descend(
     bend = at(best, np.abs(up + down - 2 * start) / r**2)
     excess = np.nan_to_num(measured) - 8 * at(best, rounding)
     residue = 2 * _EPS * np.abs(z) * bend + 4 * np.maximum(excess, 0.0) / at(best, r)
-    residue = residue + 2 * at(best, blurred / r)
+    residue = residue + 8 * at(best, blurred / r)
     nan = np.isnan(up) | np.isnan(down)
     return Ladder(
         value=taken,
@@ -174,11 +171,12 @@ def descend(
         kink=kink,
         unsettled=unsettled,
         sides=sides,
+        rate=rate,
     )
 
 
 def _lasting(jump: np.ndarray, floor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Whether the jump of the slope lasts as far down as noise lets see it, and to which rung."""
+    """Whether the jump of the slope lasts as far down as noise lets see it; a rung with it."""
     number = jump.shape[1]
     seen = jump > floor
     run = np.stack([seen[:, 4 - k : number - k] for k in range(5)]).all(axis=0)
@@ -188,7 +186,7 @@ def _lasting(jump: np.ndarray, floor: np.ndarray) -> tuple[np.ndarray, np.ndarra
     below = np.minimum(last + 1, number - 1)
     hidden = (last == number - 1) | (np.take_along_axis(floor, below, axis=1) > 0.3 * here)
     kink = run.any(axis=1)[:, None] & (here >= 0.5 * before) & hidden
-    return kink[:, 0], last
+    return kink[:, 0], np.maximum(last - 8, 0)
 
 
 def _measure_stairs(

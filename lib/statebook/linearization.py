@@ -10,13 +10,14 @@ import numpy as np
 
 from statebook.derivatives import InexactDerivativeWarning, differentiate
 from statebook.errors import NotAnEquilibriumError
-from statebook.residuals import TOLERANCE, jacobian, labels_among, noise_of, point
+from statebook.residuals import TOLERANCE, jacobian, labels_among, noise_of, point, scale_of
 from statebook.systems import System, as_system, output_map, time_of
 
 if TYPE_CHECKING:
     import control
 
-_RANK = 1e-15  # of a slope that rounding makes, beside others
+_RANK = 1e-13  # of a slope that rounding makes, beside others
+_BESIDE = 1e-12  # relative distance from x0 to the equilibrium that changes nothing
 
 
 def jacobians(
@@ -81,9 +82,11 @@ def jacobians(
     x0, u0 = point(system, x0, u0)
     x, u = (a if a.ndim == 1 else a[:, 0] for a in (x0, u0))
     t = time_of(system, x, u, t)
-    system.dynamics(x0, u0 if u0.ndim <= x0.ndim else u, t)  # reports what is wrong with f
+    f0 = system.dynamics(x0, u0 if u0.ndim <= x0.ndim else u, t)  # reports what is wrong with f
     columns, split = _columns(system, states, inputs)
-    J, error, inexact = jacobian(system, x0, u0, t, columns=columns, scale=scale)
+    J, error, inexact, _ = jacobian(
+        system, x0, u0, t, columns=columns, scale=scale, f0=f0 if u0.ndim <= x0.ndim else None
+    )
     _warn(system, error, inexact)
     A, B = J[..., :split], J[..., split:]
     return (A[0], B[0]) if x0.ndim == u0.ndim == 1 else (A, B)
@@ -144,16 +147,23 @@ def linear_part(
     """
     n, z = system.n, np.concatenate([x0, u0])
     kept = np.arange(z.size) if columns is None else np.asarray(columns, dtype=int)
-    rest = system.dynamics(x0, u0, t) - (x0 if system.discrete else 0.0)
-    (J,), (error,), (inexact,) = jacobian(system, x0, u0, t, columns=columns, scale=scale)
+    f0 = system.dynamics(x0, u0, t)
+    rest = f0 - x0 if system.discrete else f0
+    (J,), (error,), (inexact,), (flat,) = jacobian(
+        system, x0, u0, t, columns=columns, scale=scale, f0=f0
+    )
     slope = J - np.eye(n, z.size)[:, kept] if system.discrete else J
-    s = np.where(z == 0, 1.0, np.abs(z))
+    s = scale_of(system, z[:, None], scale)[:, 0]
 
     def residual(z: np.ndarray) -> np.ndarray:
         return system.probe(z[:n], z[n:], t) - (z[:n] if system.discrete else 0.0)
 
-    noise = noise_of(residual, z, s)
+    states = np.flatnonzero(kept < n)
+    scaled, size = slope[:, states] * s[kept[states]], s[kept[states]]
     terms = np.abs(slope) @ np.abs(z[kept])
+    if (np.abs(rest) <= 1e-12 * terms).all() and not flat.any() and _is_sound(scaled):
+        return J, error, inexact
+    noise = noise_of(residual, z, s)
     allowed = TOLERANCE * terms + noise
     if (np.abs(rest) > allowed).any():
         worst = np.argmax(np.abs(rest) / np.maximum(allowed, 1e-300))
@@ -165,11 +175,9 @@ def linear_part(
             " or use jacobians for the affine model"
         )
     # The equilibrium is beside x0, by as much as the residual and its noise leave open.
-    states = np.flatnonzero(kept < n)
-    scaled, size = slope[:, states] * s[kept[states]], s[kept[states]]
     open_to = np.linalg.lstsq(scaled, np.stack([rest, noise / 8], axis=1), rcond=_RANK)[0].T
     for move in open_to * size:
-        if (np.abs(move) > 1e-13 * size).any():
+        if (np.abs(move) > _BESIDE * size).any():
             other = x0.copy()
             other[kept[states]] -= move
             try:
@@ -178,6 +186,13 @@ def linear_part(
                 continue
             error = np.maximum(error, np.abs(changed))
     return np.where(np.abs(J) <= error, 0.0, J), error, inexact
+
+
+def _is_sound(J: np.ndarray) -> bool:
+    """Whether all singular values of J, rows in units of their own, are far from rounding."""
+    rows = np.abs(J).max(axis=1, initial=0.0)
+    values = np.linalg.svd(J / np.where(rows > 0, rows, 1.0)[:, None], compute_uv=False)
+    return not ((values > _RANK) & (values < 1e-6)).any()
 
 
 def linearize(
@@ -268,7 +283,7 @@ def _outputs(
     if output is None:
         states = [j for j in kept if j < n]
         return [system.states[j] for j in states], np.eye(z.size)[np.ix_(states, kept)]
-    J, error, inexact = differentiate(
+    J, error, inexact, _ = differentiate(
         lambda z: output(z[:n], z[n:], t), z[:, None], kept, labels=(*system.states, *system.inputs)
     )
     _warn(system, error, inexact)

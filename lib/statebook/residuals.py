@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from statebook import _validate
-from statebook.derivatives import differentiate, step_scale
+from statebook.derivatives import Derivative, differentiate, step_scale
 from statebook.systems import System
 
 TOLERANCE = 1e-8  # relative error of a state that a caller has written down
@@ -48,15 +48,20 @@ def labels_among(name: str, labels: Any, known: Sequence[str]) -> tuple[str, ...
     return tuple(labels)
 
 
+def mapping(name: str, value: Any, known: Sequence[str], example: str) -> Mapping[str, Any]:
+    """Return a mapping of labels as it is; None is an empty one."""
+    if value is not None and not isinstance(value, Mapping):
+        raise TypeError(f"{name} must map labels to values, as {{{known[0]!r}: {example}}}")
+    return value or {}
+
+
 def values_by_label(
     name: str, values: Any, known: Sequence[str], *, positive: bool = False
 ) -> dict[str, float]:
     """Return a mapping of labels to numbers, checked; None is an empty one."""
     if values is None:
         return {}
-    if not isinstance(values, Mapping):
-        raise TypeError(f"{name} must map labels to numbers, as {{{known[0]!r}: 1.0}}")
-    labels_among(name, tuple(values), known)
+    labels_among(name, tuple(mapping(name, values, known, "1.0")), known)
     check = _validate.positive if positive else _validate.number
     return {label: check(f"{name}[{label!r}]", value) for label, value in values.items()}
 
@@ -78,8 +83,9 @@ def jacobian(
     *,
     columns: Sequence[int] | None = None,
     scale: Any = None,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the derivative with respect to (x, u), (N, n, c), its error, and where inexact."""
+    f0: np.ndarray | None = None,
+) -> Derivative:
+    """Return the derivative with respect to (x, u), with its evidence."""
     x, u = (a[:, None] if a.ndim == 1 else a for a in (x0, u0))
     N = max(x.shape[1], u.shape[1])
     z = np.concatenate([a if a.shape[1] == N else np.repeat(a, N, axis=1) for a in (x, u)])
@@ -90,6 +96,7 @@ def jacobian(
         columns,
         scale=scale_of(system, z, scale),
         labels=(*system.states, *system.inputs),
+        f0=None if f0 is None else f0.reshape(n, N),
     )
 
 
@@ -112,14 +119,16 @@ def noise_of(residual: Any, z: np.ndarray, s: np.ndarray) -> np.ndarray:
     largest = np.abs(z).max(initial=0.0)
     # What is rounding beside the other components is a zero that was computed.
     size = np.where(np.abs(z) <= _ROUNDING * largest, _ROUNDING * largest, 2 * _EPS * np.abs(z))
-    size = np.maximum(size, np.where(z == 0, 2 * _EPS * s, 0.0))
+    size = np.maximum(size, np.where(np.abs(z) < 1e-14 * s, 2 * _EPS * s, 0.0))
     shifts = size[:, None] * rng.choice([-2.0, -1.0, 1.0, 2.0], (z.size, 6))
     # At a zero that is flat all this vanishes with the slope. Look beside it for the part of f
-    # that is not smooth: second differences over a few hundred units of the last place.
+    # that is not smooth: second differences, free of what falls like the square of the step.
     beside = z + 1e-3 * s * rng.uniform(0.5, 1.0, z.size) * rng.choice([-1.0, 1.0], z.size)
-    wide = 2 * _EPS * np.abs(beside)[:, None] * rng.integers(1, 200, (z.size, 8))
-    columns = [z, beside, z[:, None] + shifts, beside[:, None] + wide, beside[:, None] - wide]
+    wide = 1e-9 * s[:, None] * rng.uniform(0.1, 1.0, (z.size, 8))
+    steps = np.concatenate([wide, wide / 2], axis=1)
+    columns = [z, beside, z[:, None] + shifts, beside[:, None] + steps, beside[:, None] - steps]
     values = residual(np.concatenate([c.reshape(z.size, -1) for c in columns], axis=1))
-    here, there, moved, up, down = np.split(values, [1, 2, 8, 16], axis=1)
-    noise = np.concatenate([np.abs(moved - here), np.abs(up + down - 2 * there)], axis=1)
+    here, there, moved, up, down = np.split(values, [1, 2, 8, 24], axis=1)
+    bent = up + down - 2 * there
+    noise = np.concatenate([np.abs(moved - here), np.abs(bent[:, :8] / 4 - bent[:, 8:])], axis=1)
     return 8 * np.nan_to_num(noise, nan=0.0, posinf=0.0).max(axis=1, initial=0.0)

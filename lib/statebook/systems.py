@@ -118,6 +118,8 @@ class System:
         ------
         ValueError
             What f returned at one state has another shape than at others.
+        Exception
+            Whatever f raises at a complex state: it may not know complex numbers.
 
         Examples
         --------
@@ -130,6 +132,8 @@ class System:
                 try:
                     return np.asarray(self.rate(x, u, t))
                 except Exception:  # one column's, perhaps
+                    if np.iscomplexobj(x):
+                        raise
                     if x.shape[1] == 1:
                         return np.full(x.shape, np.nan)
             columns = []
@@ -137,6 +141,8 @@ class System:
                 try:
                     columns.append(np.asarray(self.rate(*column, t)))
                 except Exception:  # math.sqrt(-1), 1 / 0, a table's end
+                    if np.iscomplexobj(column[0]):
+                        raise
                     columns.append(np.full(self.n, np.nan))
                 if columns[-1].shape != (self.n,):
                     raise ValueError(
