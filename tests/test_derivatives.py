@@ -251,7 +251,9 @@ def saturated(x, u):
 
 
 def test_a_kink_in_one_input_does_not_refuse_the_others():
-    with pytest.raises(sb.KinkError, match=r"slope of row 1 is -0\.5.* below .* 0\.5.* above") as kink:
+    with pytest.raises(
+        sb.KinkError, match=r"slope of row 1 is -0\.5.* below .* 0\.5.* above"
+    ) as kink:
         sb.jacobians(saturated, [0, 0], [0.3, 0.0])
     assert "u[1]" in str(kink.value) and "inputs=" in str(kink.value)
     A, B = sb.jacobians(saturated, [0, 0], [0.3, 0.0], inputs=["u[0]"])

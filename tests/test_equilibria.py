@@ -67,6 +67,7 @@ DEGENERATE = {
 
 
 @pytest.mark.parametrize(("f", "guess", "exact", "atol"), DEGENERATE.values(), ids=DEGENERATE)
+@pytest.mark.filterwarnings("ignore::statebook.InexactDerivativeWarning")  # of noise
 def test_degenerate_zeros_are_found_and_called_degenerate(f, guess, exact, atol):
     found = sb.find_equilibrium(f, guess)
     assert found.x == pytest.approx([exact], abs=atol)
@@ -126,9 +127,7 @@ def test_the_nearest_on_a_circle(guess):
 def quadrotor(x, u, m=0.5, g=9.81, inertia=(0.02, 0.02, 0.04)):
     """A quadrotor with Euler angles (Beard, Quadrotor Dynamics and Control, 2008)."""
     _, _, _, vx, vy, vz, roll, pitch, yaw, p, q, r = x
-    sr, cr, sp, cp, sy, cy = (
-        f(a) for a in (roll, pitch, yaw) for f in (np.sin, np.cos)
-    )
+    sr, cr, sp, cp, sy, cy = (f(a) for a in (roll, pitch, yaw) for f in (np.sin, np.cos))
     a, b, c = inertia
     return [
         vx,

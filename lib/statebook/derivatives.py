@@ -163,7 +163,9 @@ def complex_step(
                 if J is None:
                     J = np.empty((len(result), c, N))
                 np.divide(
-                    result.imag.reshape(-1, width, part.shape[1]), part, out=J[:, a : a + width, some]
+                    result.imag.reshape(-1, width, part.shape[1]),
+                    part,
+                    out=J[:, a : a + width, some],
                 )
                 shifted.imag[chosen] = 0.0
     return J
@@ -184,11 +186,13 @@ def search_jacobian(f: Evaluate, z: np.ndarray, s: np.ndarray) -> np.ndarray:
             J = exact[..., 0]
             slope = (values[::2] - values[1::2]) / (2 * steps[::2, None])
             found, size = (4 * slope[1] - slope[0]) / 3, np.abs(J) @ direction
-            allowed = 1e-3 * size + np.abs(found - slope[1]) + 1e-9 * np.abs(values[0])
+            allowed = 1e-3 * size + 2 * np.abs(slope[1] - slope[0]) + 1e-9 * np.abs(values[0])
             if (np.abs(J @ direction - found) <= allowed).all():
                 return J
         h = 1e-6 * np.diag(s)
-        up, down = np.split(f(z[:, None] + np.concatenate([h, -h], axis=1)).astype(float), 2, axis=1)
+        up, down = np.split(
+            f(z[:, None] + np.concatenate([h, -h], axis=1)).astype(float), 2, axis=1
+        )
         return (up - down) / (2e-6 * s)
 
 
@@ -255,7 +259,9 @@ class _Differentiation:
         terms, most = size.sum(axis=1), size.max(axis=1)
         noise = (16 * self.eps / shrink / _RADII[-1]) * (np.abs(self.f0) + terms)
         spread = np.abs(spread)
-        right = (np.abs(value - expected) <= 0.1 * spread + noise) & (np.abs(jump) <= 8 * noise + 0.03 * spread)
+        right = (np.abs(value - expected) <= 0.1 * spread + noise) & (
+            np.abs(jump) <= 8 * noise + 0.03 * spread
+        )
         right &= spread <= 1e-8 * terms + noise
         size[size == 0] = np.inf
         again = ~right.all(axis=0) | (size.min(axis=1) < 1e-6 * most).any(axis=0)
@@ -316,10 +322,12 @@ class _Differentiation:
             self.inexact[here] = ~still
         self.flat[:, points] |= part.max(axis=1) < 0.1 * rate
         if not good.all():
+            full = np.zeros(self.f0.shape)
+            full[:, points] = row[:, 0]
             for a in np.flatnonzero(~good.all(axis=(0, 2))):
                 bad = np.flatnonzero(~good[:, a].all(axis=0))
                 for some in np.array_split(points[bad], -(-bad.size // 256)):
-                    self._search(int(cols[a]), some, known)
+                    self._search(int(cols[a]), some, known, full[:, some])
 
     def _drop_residue(
         self, here: Any, cols: np.ndarray, points: np.ndarray, rate: np.ndarray
@@ -334,7 +342,7 @@ class _Differentiation:
                 steady = np.abs(again - J[here]) <= 1e-3 * np.abs(J[here])
                 J[here] = np.where(suspect & ~steady, 0.0, J[here])
 
-    def _search(self, a: int, points: np.ndarray, known: bool) -> None:
+    def _search(self, a: int, points: np.ndarray, known: bool, row: np.ndarray) -> None:
         """Find column a of J at points where the first differences did not settle."""
         J, error, j = self.J, self.error, int(self.columns[a])
         z, s = self.z[:, points], self.s[j, points]
@@ -346,14 +354,14 @@ class _Differentiation:
             return self.f(shifted.reshape(len(z), -1)).reshape(-1, *steps.shape).astype(float)
 
         exact = J[:, a, points] if known else None
-        ladder = descend(along, self.f0[:, points], z[j], s, exact, self.eps)
+        ladder = descend(along, self.f0[:, points], z[j], s, exact, self.eps, 1e-9 * row / s)
         self._refuse(ladder, j)
         value, err = ladder.value, ladder.error
         if exact is None:
             J[:, a, points] = np.where(np.abs(value) <= err, 0.0, value)
             error[:, a, points] = np.where(ladder.still, 0.0, err)
             return
-        agree = np.abs(exact - value) <= 3 * err
+        agree = np.abs(exact - value) <= 3 * err + 1e-14 * row / s
         trusted = err <= _TRUSTED * np.abs(exact)
         # Where noise hides the slope, the complex step stands, with what is known of it.
         rounding = np.abs(exact) <= ladder.residue
@@ -362,8 +370,7 @@ class _Differentiation:
         doubt = np.where(sure, 0.0, np.abs(exact - value) + err)
         J[:, a, points] = np.where(agree, kept, value)
         error[:, a, points] = np.where(agree, doubt, np.maximum(err, _EPS * np.abs(value)))
-        row = np.abs(J[:, :, points] * self.s[self.columns][:, points]).max(axis=1) / s
-        hidden = doubt > _TRUSTED * np.maximum(row, ladder.rate)
+        hidden = doubt > _TRUSTED * np.maximum(row / s, ladder.rate)
         self.inexact[:, a, points] = ~agree | hidden
 
     def _refuse(self, ladder: Ladder, j: int) -> None:

@@ -79,6 +79,9 @@ class _Problem:
         self.wanted = np.array(list(outputs.values()))
         self.s = scale_of(system, z0[:, None], scale)[free, 0]
         self.extra: Any = None  # more equations, of all of z
+        self.base = np.zeros(len(self.rows) + len(self.outputs))
+        with np.errstate(all="ignore"):
+            self.base = np.nan_to_num(self.terms(self.guess, self.jacobian(self.guess)))
 
     def fill(self, unknowns: np.ndarray) -> np.ndarray:
         """Return all of z, (k, N), for unknowns (p, N)."""
@@ -106,9 +109,11 @@ class _Problem:
         return search_jacobian(self.batch, unknowns, self.s)
 
     def terms(self, unknowns: np.ndarray, J: np.ndarray) -> np.ndarray:
-        """Return the size of what adds up in each row."""
+        """Return the size of what adds up in each row, which is not nothing even where it ends."""
         size = np.maximum(np.abs(unknowns), self.s)
-        return np.abs(J) @ size + np.abs(self(unknowns))
+        terms = np.abs(J) @ size + np.abs(self(unknowns))
+        terms[: self.base.size] += 1e-14 * self.base
+        return terms
 
 
 def find_equilibrium(
@@ -222,7 +227,9 @@ def _not_found(problem: _Problem, z: np.ndarray) -> EquilibriumNotFoundError:
     )
 
 
-def _named_guesses(system: Any, x_guess: Any, u_guess: Any) -> tuple[System, np.ndarray, np.ndarray]:
+def _named_guesses(
+    system: Any, x_guess: Any, u_guess: Any
+) -> tuple[System, np.ndarray, np.ndarray]:
     """Return the system and the checked guesses, under the names that the caller knows."""
     names = ("x_guess", "u_guess")
     _validate.real_array(names[0], x_guess)
@@ -250,9 +257,7 @@ def _wanted(outputs: Any, system: System) -> dict[str, float]:
     return values_by_label("outputs", outputs, labels)
 
 
-def _bounds(
-    bounds: Any, labels: Sequence[str], problem: _Problem
-) -> tuple[np.ndarray, np.ndarray]:
+def _bounds(bounds: Any, labels: Sequence[str], problem: _Problem) -> tuple[np.ndarray, np.ndarray]:
     """Return the bounds of the unknowns."""
     low, high = (np.full(problem.z0.size, v) for v in (-np.inf, np.inf))
     bounds = mapping("bounds", bounds, labels, "(0.0, 1.0)")
@@ -319,7 +324,7 @@ def _newton(
         # A flat f sends the step anywhere: three times as far from 0 must do.
         step /= max(1.0, float((np.abs(step) / np.maximum(np.abs(z), 1.0)).max()) / 2)
         length = float(np.linalg.norm(step / problem.s))
-        rows = np.maximum(problem.terms(z, J), np.abs(F))
+        rows = problem.terms(z, J)
         weight = 1 / np.where(rows > 0, rows, 1.0)
         # At a multiple zero the steps fall by a steady factor: go where they end.
         before, ratio = ratio, length / last if last > 0 else 0.0
@@ -354,6 +359,7 @@ def _shortest(
     scaled = J * problem.s
     for _ in range(2):
         rows = np.abs(scaled).max(axis=1, initial=0.0)
+        rows[: problem.base.size] += 1e-14 * problem.base
         rows = np.where(rows > 0, rows, 1.0)
         step = np.linalg.lstsq(scaled / rows[:, None], change / rows, rcond=1e-11)[0]
         out = ((z <= low) & (step < 0)) | ((z >= high) & (step > 0))
@@ -434,16 +440,14 @@ def _less_singular(
     the guess that fades lets the one go that is cheapest.
     """
 
-    def rank(at: np.ndarray) -> int:
-        J = problem.jacobian(at) * problem.s
-        return int(np.linalg.matrix_rank(np.nan_to_num(J), rtol=_RANK)) if J.any() else 0
-
-    if rank(z) >= min(rank(problem.guess), z.size):
+    start, end = (np.nan_to_num(problem.jacobian(at) * problem.s) for at in (problem.guess, z))
+    tol = _RANK * np.linalg.norm(start)
+    if np.linalg.matrix_rank(end, tol=tol) >= np.linalg.matrix_rank(start, tol=tol):
         return z
     size = problem.terms(problem.guess, problem.jacobian(problem.guess))
     size = np.where((size > 0) & np.isfinite(size), size, 1.0)
     end = problem.guess
-    for pull in 10.0 ** -np.arange(1.0, 7.0):
+    for pull in 10.0 ** np.arange(1.0, -6.5, -0.5):
         weights = pull * np.eye(z.size)
 
         def pulled(w: np.ndarray, weights: np.ndarray = weights) -> np.ndarray:
@@ -474,6 +478,7 @@ def _with_invariants(
     null = scipy.linalg.null_space(J, rcond=_RANK) if J.size else np.eye(z.size)
     if null.size == 0:
         return z
+    z = _cleaned(problem, z)
     system = problem.system
     found = invariants(
         lambda x, u: system.probe(x, u, problem.t) - (x if system.discrete else 0.0),
@@ -493,7 +498,7 @@ def _with_invariants(
     weights = U[:, :rank].T
     target = weights @ found(problem.z0[:, None])
     problem.extra = lambda full: weights @ found(full) - target
-    kept = _newton(problem, z, low, high, 50)
+    kept = _newton(problem, z, low, high, _STEPS)
     accepted = _accepts(problem, kept, allowed)
     if accepted:
         kept = _nearest(problem, kept, low, high, allowed)
@@ -501,11 +506,15 @@ def _with_invariants(
     return kept if accepted and _accepts(problem, kept, allowed) else z
 
 
+def _cleaned(problem: _Problem, z: np.ndarray) -> np.ndarray:
+    """Return z with zeros for what is less than rounding, if that is as good."""
+    clean = np.where(np.abs(z) < _EPS * problem.s, 0.0, z)
+    return clean if (np.abs(problem(clean)) <= np.abs(problem(z))).all() else z
+
+
 def _result(problem: _Problem, z: np.ndarray, labels: Sequence[str]) -> Equilibrium:
     """Return the equilibrium at an accepted zero, with its rank."""
-    clean = np.where(np.abs(z) < _EPS * problem.s, 0.0, z)
-    if (np.abs(problem(clean)) <= np.abs(problem(z))).all():
-        z = clean
+    z = _cleaned(problem, z)
     F, J = np.abs(problem(z)), problem.jacobian(z)
     terms = problem.terms(z, J)
     residual = float((F / np.where(terms > 0, terms, 1.0)).max(initial=0.0))

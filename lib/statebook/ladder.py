@@ -20,9 +20,7 @@ _TOP = 2.0**0.1  # no multiple of anybody's period
 _EPS = float(np.finfo(float).eps)
 
 
-def romberg(
-    up: np.ndarray, down: np.ndarray, radii: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def romberg(up: np.ndarray, down: np.ndarray, radii: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Extrapolate central differences over radii that halve along the last axis but one.
 
     Parameters
@@ -88,6 +86,7 @@ def descend(
     s: np.ndarray,
     exact: np.ndarray | None,
     eps: float,
+    floor: np.ndarray,
 ) -> Ladder:
     """Descend the ladder and take the best rung, row by row and point by point.
 
@@ -102,6 +101,8 @@ def descend(
         The slope by the complex step, a candidate.
     eps : float
         Relative precision of what f returns.
+    floor : array, shape (n, P)
+        Slopes that are negligible beside the other variables': they may be noise all along.
     """
     top = _TOP * np.clip(1.0, s, s * _ABOVE)
     rungs = _RUNGS + int(np.ceil(np.log2((top / s).max()))) + (_AT_ZERO if (z == 0).any() else 0)
@@ -148,11 +149,13 @@ def descend(
     rate = np.where((r <= s) & np.isfinite(change), change, 0.0).max(axis=1) / s
     settled = drift <= 0.01 * np.abs(taken) + 16 * at(other, blur)
     err = np.where(settled, err, np.maximum(err, 2 * drift))
-    unsettled = ~settled & (drift > 1e-9 * rate)
-    unsettled |= (err > 0.1 * np.maximum(np.abs(taken), rate)) & (err > 8 * at(best, blur))
-    unsettled |= (stairs > 0) & (err > 0.1 * np.maximum(np.abs(taken), 1e-6 * rate))
+    unsettled = ~settled & (drift > np.maximum(1e-9 * rate, floor))
+    unsteady = (err > 0.1 * np.maximum(np.abs(taken), rate)) & (err > 8 * at(best, blur))
+    unsteady |= (stairs > 0) & (err > 0.1 * np.maximum(np.abs(taken), 1e-6 * rate))
+    unsettled |= unsteady & (err > floor)
     jump = np.abs(slopes_jump(up, down, start, r))
     kink, rung = _lasting(jump, 20 * noise[:, :-1] / r[:-1])
+    kink &= at(rung, jump) > 1e-3 * floor
     for side in (up, down):  # a jump at the point itself
         gap = np.abs(side - start)[:, -8:]
         kink |= gap.min(axis=1) > np.maximum(0.5 * gap.max(axis=1), 1e-3 * rate * s + 16 * rough)
@@ -214,10 +217,10 @@ def _measure_stairs(
         rung = first[i, p] - 1
         if not rest[i, rung, p] > 8 * noise[i, rung, p]:
             continue
-        for width in (8, 64, 512):  # the first riser may be close by chance
+        for width in (2, 8, 64, 512):  # the first riser may be close by chance
             t = np.linspace(-width, width, 193)[:, None] * r[rung, p]
             rise = np.abs(np.diff(along(t, np.array([p]))[i, :, 0] - slope[i, p] * t[:, 0]))
-            riser = ~(rise <= 4 * noise[i, rung, p])
+            riser = ~(rise <= max(4 * noise[i, rung, p], 1e-3 * np.nanmax(rise)))
             steps = int(riser[0]) + np.count_nonzero(riser[1:] & ~riser[:-1])
             if steps >= 3 and 2 * np.count_nonzero(riser) < riser.size:
                 stairs[i, p] = max(stairs[i, p], np.nanmax(rise))

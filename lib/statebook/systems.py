@@ -281,7 +281,9 @@ def _from_function(
     required, accepted = arguments_of(f)
     driven = required >= 2 or (u0 is not None and np.size(u0) > 0)
     if driven and accepted < 2:
-        raise ValueError(f"{input_name} was given, but the function takes x alone: write it f(x, u)")
+        raise ValueError(
+            f"{input_name} was given, but the function takes x alone: write it f(x, u)"
+        )
     timed = driven and accepted == 3
 
     def call(x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
