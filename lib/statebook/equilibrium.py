@@ -79,9 +79,7 @@ class _Problem:
         self.wanted = np.array(list(outputs.values()))
         self.s = scale_of(system, z0[:, None], scale)[free, 0]
         self.extra: Any = None  # more equations, of all of z
-        self.base = np.zeros(len(self.rows) + len(self.outputs))
-        with np.errstate(all="ignore"):
-            self.base = np.nan_to_num(self.terms(self.guess, self.jacobian(self.guess)))
+        self.base = np.zeros(0)  # sizes of rows that count even where they vanish
 
     def fill(self, unknowns: np.ndarray) -> np.ndarray:
         """Return all of z, (k, N), for unknowns (p, N)."""
@@ -497,12 +495,13 @@ def _with_invariants(
         return z
     weights = U[:, :rank].T
     target = weights @ found(problem.z0[:, None])
+    problem.base = np.nan_to_num(problem.terms(problem.guess, problem.jacobian(problem.guess)))
     problem.extra = lambda full: weights @ found(full) - target
     kept = _newton(problem, z, low, high, _STEPS)
     accepted = _accepts(problem, kept, allowed)
     if accepted:
         kept = _nearest(problem, kept, low, high, allowed)
-    problem.extra = None
+    problem.extra, problem.base = None, np.zeros(0)
     return kept if accepted and _accepts(problem, kept, allowed) else z
 
 

@@ -17,6 +17,7 @@ _RUNGS = 50  # below the scale of the variable: as far as its own rounding
 _AT_ZERO = 30  # more of them where the variable is 0 and has no rounding
 _ABOVE = 2.0**40  # how far above a small scale the ladder begins, at most at 1
 _TOP = 2.0**0.1  # no multiple of anybody's period
+_CLOSE = np.array([0.3, 3e-2, 3e-3, 3e-4, 1e-6, 1e-9])  # where roughness is measured, of the top
 _EPS = float(np.finfo(float).eps)
 
 
@@ -109,20 +110,23 @@ def descend(
     r = top * 2.0 ** -np.arange(rungs)[:, None]
     every = np.arange(len(s))
     # Steps that differ by little more than rounding show what f makes of rounding.
-    close = 0.3 * top * (1 + 9e-16 * np.array([0, 1, 2, 3, 5, 8])[:, None])
+    close = (_CLOSE[:, None] * (1 + 9e-16 * np.arange(6.0) ** 1.5)).reshape(-1, 1) * top
     values, nearby = np.split(along(np.concatenate([r, -r, close]), every), [2 * rungs], axis=1)
     up, down, start = values[:, :rungs], values[:, rungs:], f0[:, None]
     size = np.nan_to_num(np.maximum(np.abs(up), np.abs(down)), nan=0.0, posinf=np.inf)
     # On each rung the rounding of the largest value there or below, and what is measured.
     rounding = eps * np.maximum.accumulate(size[:, ::-1], axis=1)[:, ::-1]
-    measured = np.abs(up + down - 2 * start)[:, -8:].max(axis=1)
-    moved = (z + close) - z
-    chord = moved / moved[-1] - moved[0] / moved[-1]
-    bowed = np.abs(nearby - nearby[:, :1] - (nearby[:, -1:] - nearby[:, :1]) * chord / chord[-1])
-    rough, rise = np.nan_to_num(bowed.max(axis=1)), np.abs(nearby[:, 0] - f0)
+    even = up + down - 2 * start
+    bent = np.abs(even[:, 1:] - even[:, :-1] / 4)
+    bent = np.where(r[:-1] <= 1e-10 * s, bent, 0.0)
+    odd = up - down  # where z + r is rounded, all that follows is a staircase
+    risen = np.where((z != 0) & (r[:-1] <= 1e-13 * s), np.abs(odd[:, 1:] - odd[:, :-1] / 2), 0.0)
+    measured = np.nan_to_num(np.maximum(bent, risen)).max(axis=1)
+    rough = _roughness((z + close) - z, nearby)
     change = np.maximum(np.abs(up - start), np.abs(down - start))
-    blurred = np.where(rise > 0, rough / np.where(rise > 0, rise, 1.0), 0.0)[:, None] * change
-    noise = rounding + np.nan_to_num(measured)[:, None] + blurred
+    place = np.clip(np.searchsorted(-_CLOSE, -r[:, 0] / top[0], "right") - 1, 0, None)
+    blurred = rough[:, place] * (r / (_CLOSE[place, None] * top))
+    noise = rounding + measured[:, None] + blurred
     noise = noise + np.nan_to_num(_EPS * np.abs(z) * change / r, posinf=0.0)  # z + r is rounded
     stairs = np.zeros(f0.shape)
     for slope in [np.zeros(f0.shape)] if exact is None else [np.zeros(f0.shape), exact]:
@@ -158,10 +162,12 @@ def descend(
     kink &= at(rung, jump) > 1e-3 * floor
     for side in (up, down):  # a jump at the point itself
         gap = np.abs(side - start)[:, -8:]
-        kink |= gap.min(axis=1) > np.maximum(0.5 * gap.max(axis=1), 1e-3 * rate * s + 16 * rough)
+        kink |= gap.min(axis=1) > np.maximum(
+            0.5 * gap.max(axis=1), 1e-3 * rate * s + 16 * rough.max(axis=1)
+        )
     sides = np.stack([at(rung, (start - down) / r), at(rung, (up - start) / r)])
-    bend = at(best, np.abs(up + down - 2 * start) / r**2)
-    excess = np.nan_to_num(measured) - 8 * at(best, rounding)
+    bend = at(best, np.abs(even) / r**2)
+    excess = measured - 8 * at(best, rounding)
     residue = 2 * _EPS * np.abs(z) * bend + 4 * np.maximum(excess, 0.0) / at(best, r)
     residue = residue + 8 * at(best, blurred / r)
     nan = np.isnan(up) | np.isnan(down)
@@ -176,6 +182,16 @@ def descend(
         sides=sides,
         rate=rate,
     )
+
+
+def _roughness(moved: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return by how much f at steps that nearly agree, six by six, is off a line, (n, 6, P)."""
+    moved = moved.reshape(-1, 6, moved.shape[-1])
+    values = values.reshape(len(values), *moved.shape)
+    run = moved[:, -1:] - moved[:, :1]
+    part = (moved - moved[:, :1]) / np.where(run == 0, 1.0, run)
+    bowed = values - values[:, :, :1] - (values[:, :, -1:] - values[:, :, :1]) * part
+    return np.nan_to_num(np.abs(bowed).max(axis=2), posinf=0.0)
 
 
 def _lasting(jump: np.ndarray, floor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

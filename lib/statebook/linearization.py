@@ -161,9 +161,10 @@ def linear_part(
     states = np.flatnonzero(kept < n)
     scaled, size = slope[:, states] * s[kept[states]], s[kept[states]]
     terms = np.abs(slope) @ np.abs(z[kept])
-    if (np.abs(rest) <= 1e-12 * terms).all() and not flat.any() and _is_sound(scaled):
+    doubtful = flat.any() or error.any() or (np.abs(rest) > 1e-12 * terms).any()
+    if not doubtful and _is_sound(scaled):
         return J, error, inexact
-    noise = noise_of(residual, z, s)
+    noise = noise_of(residual, z, np.maximum(s, 1.0))
     allowed = TOLERANCE * terms + noise
     if (np.abs(rest) > allowed).any():
         worst = np.argmax(np.abs(rest) / np.maximum(allowed, 1e-300))
