@@ -40,7 +40,7 @@ def as_sent(x, form):
 FORMS = st.sampled_from(["array", "read-only", "non-contiguous", "reversed", "list", "tuple"])
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, derandomize=True, max_examples=60)
 @given(
     st.integers(1, 4).flatmap(
         lambda n: st.tuples(*[st.lists(magnitudes, min_size=n, max_size=n)] * 2)
@@ -64,7 +64,7 @@ def test_linear_functions_of_any_magnitude(rows, form):
     np.testing.assert_allclose(found, expected, rtol=1e-8, atol=0)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, derandomize=True, max_examples=60)
 @given(magnitudes, magnitudes, FORMS)
 def test_waves_of_any_magnitude(size, x, form):
     with warnings.catch_warnings(), np.errstate(all="ignore"):
@@ -89,7 +89,7 @@ anything = st.one_of(
 )
 
 
-@settings(deadline=None, max_examples=120)
+@settings(deadline=None, derandomize=True, max_examples=60)
 @given(
     st.sampled_from([sb.jacobians, sb.linearize, sb.find_equilibrium]),
     st.sampled_from(["model", "function"]),
@@ -108,7 +108,7 @@ def test_anything_works_or_raises_what_is_documented(function, kind, x, u):
             assert str(error)
             return
         except IndexError:  # of the function itself, which has two states and an input
-            assert kind == "function" and np.shape(x)[:1] != (2,) or np.shape(u)[:1] != (1,)
+            assert (kind == "function" and np.shape(x)[:1] != (2,)) or np.shape(u)[:1] != (1,)
             return
     if function is sb.find_equilibrium:
         assert np.isfinite(result.x).all() and np.isfinite(result.u).all()
@@ -117,7 +117,7 @@ def test_anything_works_or_raises_what_is_documented(function, kind, x, u):
         assert np.isfinite(A).all() and np.isfinite(B).all()
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, derandomize=True, max_examples=40)
 @given(
     hnp.arrays(np.float64, st.integers(1, 5), elements=st.floats(-1e3, 1e3)),
     st.integers(0, 2**31),
@@ -131,7 +131,7 @@ def test_stable_linear_systems_have_their_origin(guess, seed, form):
     assert np.abs(found.x).max() <= 1e-12 * max(np.abs(guess).max(), 1.0)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, derandomize=True, max_examples=40)
 @given(st.sampled_from([np.float32, np.float64, np.int32, np.int8]), st.integers(-5, 5), FORMS)
 def test_numbers_of_any_kind_are_numbers(kind, value, form):
     x = np.array([value, 2], dtype=kind)

@@ -130,7 +130,7 @@ def descend(
     noise = noise + np.nan_to_num(_EPS * np.abs(z) * change / r, posinf=0.0)  # z + r is rounded
     stairs = np.zeros(f0.shape)
     for slope in [np.zeros(f0.shape)] if exact is None else [np.zeros(f0.shape), exact]:
-        _measure_stairs(stairs, along, values - start, slope, r, noise)
+        _measure_stairs(stairs, along, values - start, slope, r, noise, 1e-3 * floor * s)
     noise = noise + stairs[:, None]
 
     value, spread = romberg(up, down, r)
@@ -197,14 +197,14 @@ def _roughness(moved: np.ndarray, values: np.ndarray) -> np.ndarray:
 def _lasting(jump: np.ndarray, floor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Whether the jump of the slope lasts as far down as noise lets see it; a rung with it."""
     number = jump.shape[1]
-    seen = jump > floor
-    run = np.stack([seen[:, 4 - k : number - k] for k in range(5)]).all(axis=0)
+    seen = np.greater(jump, floor)
+    run = np.all([seen[:, 4 - k : number - k] for k in range(5)], axis=0)
     last = number - 1 - np.argmax(run[:, ::-1], axis=1)[:, None]
     here = np.take_along_axis(jump, last, axis=1)
     before = np.take_along_axis(jump, last - 4, axis=1)
     below = np.minimum(last + 1, number - 1)
     hidden = (last == number - 1) | (np.take_along_axis(floor, below, axis=1) > 0.3 * here)
-    kink = run.any(axis=1)[:, None] & (here >= 0.5 * before) & hidden
+    kink = np.any(run, axis=1)[:, None] & (here >= 0.5 * before) & hidden
     return kink[:, 0], np.maximum(last - 8, 0)
 
 
@@ -215,6 +215,7 @@ def _measure_stairs(
     slope: np.ndarray,
     r: np.ndarray,
     noise: np.ndarray,
+    least: np.ndarray,
 ) -> None:
     """Enter the height of the stairs in which a row rises beside its slope, in place.
 
@@ -231,7 +232,7 @@ def _measure_stairs(
     first = np.argmax(below, axis=1)
     for i, p in np.argwhere(below.any(axis=1) & (first > 0)):
         rung = first[i, p] - 1
-        if not rest[i, rung, p] > 8 * noise[i, rung, p]:
+        if not rest[i, rung, p] > max(8 * noise[i, rung, p], least[i, p]):
             continue
         for width in (2, 8, 64, 512):  # the first riser may be close by chance
             t = np.linspace(-width, width, 193)[:, None] * r[rung, p]

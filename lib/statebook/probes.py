@@ -28,7 +28,7 @@ def arguments_of(f: Callable[..., Any]) -> tuple[int, int]:
     if code is not None and not (code.co_flags & 0x0C or code.co_kwonlyargcount):
         # Much faster than a signature, and most functions are this plain.
         names = list(code.co_varnames[: code.co_argcount])
-        required = len(names) - len(f.__defaults__ or ())  # type: ignore[attr-defined]
+        required = len(names) - len(getattr(f, "__defaults__", None) or ())
         variadic = False
         if inspect.ismethod(f):
             names, required = names[1:], max(required - 1, 0)
