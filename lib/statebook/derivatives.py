@@ -361,7 +361,7 @@ class _Differentiation:
             J[:, a, points] = np.where(np.abs(value) <= err, 0.0, value)
             error[:, a, points] = np.where(ladder.still, 0.0, err)
             return
-        agree = np.abs(exact - value) <= 3 * err + 1e-14 * row / s
+        agree = np.abs(exact - value) <= 3 * err + 5e-14 * row / s
         trusted = err <= _TRUSTED * np.abs(exact)
         # Where noise hides the slope, the complex step stands, with what is known of it.
         rounding = np.abs(exact) <= ladder.residue

@@ -137,8 +137,9 @@ def linear_part(
     Returns
     -------
     J, error, inexact : array, shape (n, c)
-        The last marks what the complex step does not vouch for. The error is that of the derivative, and what J changes by between x0 and the exact
-        equilibrium beside it; an entry below its error is 0.
+        The error is that of the derivative, and what J changes by between x0 and the exact
+        equilibrium beside it; an entry below its error is 0. The last marks what the complex
+        step does not vouch for.
 
     Raises
     ------
