@@ -199,8 +199,8 @@ BAD = {
     "keeps a state": (WithMemory, [0.1, 0.0], [0.1], "make its memory part of the state"),
     "too few rows": (lambda: lambda x, u: x[:1], [0.0, 0.0], [0.0], r"shape \(2,\), got \(1,\)"),
     "not finite": (lambda: lambda x, u: x / 0, [1.0, 0.0], [0.0], "finite"),
-    "x0 too long": (sb.Pendulum, [0.0, 0.0, 0.0], [0.0], r"x0 must have shape \(2,\)"),
-    "x0 not finite": (sb.Pendulum, [np.nan, 0.0], [0.0], "x0 must be finite"),
+    "x0 too long": (sb.Pendulum, [0.0, 0.0, 0.0], [0.0], r"(x0|x_guess) must have shape \(2,\)"),
+    "x0 not finite": (sb.Pendulum, [np.nan, 0.0], [0.0], "(x0|x_guess) must be finite"),
 }
 
 

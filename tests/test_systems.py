@@ -118,9 +118,9 @@ def test_caller_arrays_stay_as_they_are():
         (lambda: sb.as_system("pendulum"), "must be a library model, a function"),
         (lambda: sb.as_system(control.tf([1], [1, 1])), "state space"),
         (lambda: sb.as_system(swing), "x0 is required"),
-        (lambda: sb.as_system(swing, [0, 0]), "u0 is required"),
+        (lambda: sb.as_system(lambda x, u: -x + u, [0, 0, 0]), "u0 is required"),
         (lambda: sb.as_system(lambda x: x, [0, 0], [1]), "takes x alone"),
-        (lambda: sb.as_system(lambda x, u, t: x, [0, 0], [1]), "3 required arguments"),
+        (lambda: sb.as_system(lambda x, u, t, p: x, [0, 0], [1]), "4 required arguments"),
         (lambda: sb.as_system(lambda x: x, [np.nan]), "x0 must be finite"),
         (lambda: sb.as_system(lambda x: x, [[[1.0]]]), r"x0 must have shape \(n,\)"),
         (lambda: sb.as_system(lambda x: x, [1.0], dt=-0.1), "dt must be"),
@@ -147,3 +147,83 @@ def test_function_with_a_memory_is_refused():
 
     with pytest.raises(ValueError, match="part of the state"):
         sb.as_system(counting, [1.0])
+
+
+# Time
+
+
+def forced(x, u, t):
+    return [x[1], np.sin(t) * np.cos(x[0]) - x[0] + u[0]]
+
+
+def test_a_system_that_depends_on_time_is_analysed_at_a_stated_time():
+    sys = control.nlsys(lambda t, x, u, params: forced(x, u, t), states=2, inputs=1)
+    for system in (forced, sys):
+        for function in (sb.jacobians, sb.linearize, sb.find_equilibrium):
+            with pytest.raises(ValueError, match="t is required"):
+                function(system, [0.0, 0.0], [0.0])
+        A, _ = sb.jacobians(system, [0.3, 0.0], [0.0], t=2.0)
+        np.testing.assert_allclose(A[1], [-1 - np.sin(2.0) * np.sin(0.3), 0], rtol=1e-14)
+        rest = sb.find_equilibrium(system, [0.3, 0.0], [0.0], t=2.0)
+        assert rest.x[0] == pytest.approx(np.sin(2.0) * np.cos(rest.x[0]), rel=1e-14)
+        linear = sb.linearize(system, rest.x, [0.0], t=2.0)
+        np.testing.assert_allclose(linear.A[1, 0], -1 - np.sin(2.0) * np.sin(rest.x[0]))
+
+
+@pytest.mark.parametrize(
+    "f",
+    [
+        lambda x, u, t: [t * x[0]],
+        lambda x, u, t: [-x[0] + (t > 5)],
+        lambda x, u, t=0.0: [-x[0] * np.exp(-t)],
+        lambda x, u, t: [-x[0] + u[0] * t],
+    ],
+)
+def test_what_vanishes_at_the_point_depends_on_time_all_the_same(f):
+    with pytest.raises(ValueError, match="t is required: function depends on the time"):
+        sb.jacobians(f, [0.0], [0.0])
+
+
+def test_a_time_that_does_not_matter_is_not_asked_for():
+    A, B = sb.jacobians(lambda x, u, t: [x[1], u[0] - x[0]], [0, 0], [0])
+    assert A.tolist() == [[0, 1], [-1, 0]] and B.tolist() == [[0], [1]]
+    sb.linearize(sb.Pendulum().to_nlsys(), [np.pi / 2, 0])
+
+
+@pytest.mark.parametrize(
+    "f",
+    [
+        lambda t, x: [x[1], -x[0]],
+        lambda t, x, u: [x[1], u[0]],
+        lambda time, y: -y,
+        lambda x, t: [x[1], -x[0]],
+    ],
+)
+def test_the_time_in_another_place_is_recognized_and_named(f):
+    for function in (sb.jacobians, sb.linearize, sb.find_equilibrium):
+        with pytest.raises(TypeError, match="the time in another place; write lambda x, u, t: f"):
+            function(f, [0.0, 0.0])
+
+
+# Inputs that are not given
+
+
+@pytest.mark.parametrize(
+    ("f", "m"),
+    [
+        (lambda x, u: [x[1], u[0] - x[0]], 1),
+        (lambda x, u: [x[1] + u[1], u[0] - x[0]], 2),
+        (lambda x, u: x @ np.eye(2) + np.ones((2, 3)) @ u, 3),
+        (lambda x, u: -x, 0),
+        (lambda x, u, t: -x, 0),
+    ],
+)
+def test_a_function_is_asked_how_many_inputs_it_takes(f, m):
+    assert sb.as_system(f, [0.3, 0.1]).m == m
+    assert sb.jacobians(f, [0.3, 0.1])[1].shape == (2, m)
+
+
+def test_a_ragged_return_is_explained():
+    for function in (sb.jacobians, sb.linearize, sb.find_equilibrium):
+        with pytest.raises(TypeError, match=r"shapes \(\), \(1,\); in row 1 write u\[0\]"):
+            function(lambda x, u: [x[1], -np.sin(x[0]) + u], [0.0, 0.0], [0.0])

@@ -2,30 +2,73 @@
 
 The complex step d f / d z_j = Im f(z + i h e_j) / h has no cancellation, but fails in
 silence where f is not analytic: it halves the derivative of ``x |x|`` and finds zero for a
-table look-up. So every column is compared with central differences over a range of
-steps, which have an error estimate of their own, and is taken from adaptive differences
-where the two disagree.
+rounded x. So it has to agree with differences: of every column alone at a few points, and of
+many points along random directions, in which no column may be much weaker than the noise.
+Where they disagree, a ladder of steps finds the scale of f's own at which differences settle,
+and what they are worth there; that decides.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
-import scipy
 
 from statebook.errors import KinkError
+from statebook.ladder import Ladder, descend, romberg, slopes_jump
 
-_STEPS = 10.0 ** -np.arange(1, 10)  # relative to abs(z_j), or absolute at 0
-_COMPLEX_STEP = 1e-40
+_COMPLEX_STEP = 1e-40  # relative to the scale of a variable
+_RADIUS = 0.019318516525781  # of the first differences: no multiple of anybody's period
+_RADII = _RADIUS * np.array([1.0, 0.5, 0.25])
+_STEPS = np.concatenate([_RADII, -_RADII])
+_FAR = 0.31066017177982  # where f is looked at once more: a staircase is flat nearby
+_CHUNK = 4096  # points that a cache holds
+_ALONE = 64  # points, up to which every column is checked alone
+_TRUSTED = 1e-6  # relative error up to which differences are evidence
 _EPS = float(np.finfo(float).eps)
 
 Evaluate = Callable[[np.ndarray], np.ndarray]
 
 
+def _weights() -> np.ndarray:
+    """Return what turns changes of f at _STEPS into differences, (4, 6).
+
+    The slope of order 6, what it differs by from that of order 4, the jump of the slope free
+    of second and fourth order, and that free of second order alone.
+    """
+    unit, zero = np.eye(6), np.zeros((1, 6))
+    up, down, radii = unit[:3], unit[3:], _RADII[:, None]
+    value, spread = romberg(up, down, radii)
+    jump = slopes_jump(up, down, zero, radii)
+    return np.concatenate([value, spread, (8 * jump[1:] - jump[:1]) / 7, jump[:1]])
+
+
+_WEIGHTS = _weights()
+
+
 class InexactDerivativeWarning(UserWarning):
     """A derivative had to be taken by differences; the message gives its error."""
+
+
+class Derivative(NamedTuple):
+    """A derivative with its evidence; J, error and inexact have shape (N, n, c).
+
+    Attributes
+    ----------
+    J, error : array
+        As derivative returns them.
+    inexact : array of bool
+        What was taken by differences, or hidden by noise from them.
+    flat : array of bool, shape (N, n)
+        Whether f_i bends more than it rises, so that its slope may be rounding.
+    """
+
+    J: np.ndarray
+    error: np.ndarray
+    inexact: np.ndarray
+    flat: np.ndarray
 
 
 def step_scale(z: np.ndarray) -> np.ndarray:
@@ -34,7 +77,14 @@ def step_scale(z: np.ndarray) -> np.ndarray:
     return np.where(size > 1e-14, size, 1.0)
 
 
-def derivative(f: Evaluate, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def derivative(
+    f: Evaluate,
+    z: np.ndarray,
+    columns: Sequence[int] | None = None,
+    *,
+    scale: np.ndarray | None = None,
+    labels: Sequence[str] | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
     """Differentiate f at each column of z.
 
     Parameters
@@ -42,11 +92,18 @@ def derivative(f: Evaluate, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     f : callable
         Maps (k, N) to (n, N), column by column, and returns NaN where it is undefined.
     z : array, shape (k, N)
+    columns : sequence of int, optional
+        The c components of z to differentiate with respect to; all k by default.
+    scale : array, shape (k, N), optional
+        Over which distance f varies; by default abs(z), and 1 where z is 0. Where f varies
+        over less, more evaluations find it out.
+    labels : sequence of str, optional
+        Names of the components of z, for messages.
 
     Returns
     -------
-    J : array, shape (N, n, k)
-    error : array, shape (N, n, k)
+    J : array, shape (N, n, c)
+    error : array, shape (N, n, c)
         Estimated absolute error; 0 where the complex step is exact to rounding.
 
     Raises
@@ -63,114 +120,282 @@ def derivative(f: Evaluate, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     >>> derivative(np.sin, np.array([[0.0]]))[0]
     array([[[1.]]])
     """
-    f0 = f(z)
-    columns = [_column(f, z, f0, j) for j in range(z.shape[0])]
-    if not columns:
-        empty = np.zeros((z.shape[1], f0.shape[0], 0))
-        return empty, empty
-    J, error = (np.stack(part, axis=-1).swapaxes(0, 1) for part in zip(*columns, strict=True))
-    return J, error
+    return differentiate(f, z, columns, scale=scale, labels=labels)[:2]
 
 
-def _column(f: Evaluate, z: np.ndarray, f0: np.ndarray, j: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return d f / d z_j and its error estimate, each (n, N)."""
-    value, error, step, rate = _differences(f, z, f0, j)
-    exact = _complex_step(f, z, j)
-    if exact is not None:  # what the step leaves of a zero derivative, as of x^3 at 0, is zero
-        exact = np.where(np.abs(exact) < _COMPLEX_STEP**0.5 * rate, 0.0, exact)
-    if exact is not None and (np.abs(exact - value) <= 10 * error + 1e-8 * np.abs(exact)).all():
-        return exact, np.zeros_like(exact)
-    # A large first step is the more accurate one unless a kink lies within it.
-    for first_step in (np.broadcast_to(step_scale(z[j]) / 4, step.shape), 4 * step):
-        refined, refined_error = _adaptive(f, z, j, first_step)
-        better = refined_error < error
-        value, error = np.where(better, refined, value), np.where(better, refined_error, error)
-    if (error > 1e-4 * rate).any():
-        raise KinkError(
-            f"no derivative could be determined with respect to component {j} of (x, u):"
-            f" the differences do not settle (error estimate {error.max():.1g});"
-            " move the point away from the discontinuity"
-        )
-    value = np.where(np.abs(value) <= error, 0.0, value)  # nothing tells it from zero
-    return value, np.maximum(error, _EPS * np.abs(value))
+def differentiate(
+    f: Evaluate,
+    z: np.ndarray,
+    columns: Sequence[int] | None = None,
+    *,
+    scale: np.ndarray | None = None,
+    labels: Sequence[str] | None = None,
+    f0: np.ndarray | None = None,
+) -> Derivative:
+    """Return what derivative does, with all of its evidence; f0 is f(z), if known."""
+    with np.errstate(all="ignore"):
+        return _Differentiation(f, z, columns, scale, labels, f0).result()
 
 
-def _complex_step(f: Evaluate, z: np.ndarray, j: int) -> np.ndarray | None:
-    """Return the complex-step derivative (n, N), or None where f is real-only."""
-    h = _COMPLEX_STEP * step_scale(z[j])
-    shifted = z.astype(complex)
-    shifted[j] += 1j * h
+def complex_step(
+    f: Evaluate, z: np.ndarray, s: np.ndarray, columns: np.ndarray, step: float = _COMPLEX_STEP
+) -> np.ndarray | None:
+    """Return Im f(z + i h e_j) / h, (n, c, N), unchecked; None where f is real-only."""
+    k, N, c = *z.shape, len(columns)
+    h = step * s[columns]
+    # One call for all columns if they are few; large batches are faster in parts.
+    width, length = (c, N) if N <= _ALONE else (1, _CHUNK)
+    J: np.ndarray | None = None
     with warnings.catch_warnings():
         warnings.simplefilter("error", np.exceptions.ComplexWarning)
-        try:
-            result = f(shifted)
-        except (TypeError, np.exceptions.ComplexWarning):
-            return None
-    return result.imag / h if np.iscomplexobj(result) else None
+        for first in range(0, N, length):
+            some = slice(first, first + length)
+            shifted = np.repeat(z[:, None, some].astype(complex), width, axis=1)
+            for a in range(0, c, width):
+                chosen, part = columns[a : a + width], h[a : a + width, some]
+                shifted.imag[chosen, np.arange(width)] = part
+                try:
+                    result = f(shifted.reshape(k, -1))
+                except Exception:  # whatever f does with numbers it was not written for
+                    return None
+                if result.dtype != complex:  # real, or too short for the step
+                    return None
+                if J is None:
+                    J = np.empty((len(result), c, N))
+                np.divide(
+                    result.imag.reshape(-1, width, part.shape[1]),
+                    part,
+                    out=J[:, a : a + width, some],
+                )
+                shifted.imag[chosen] = 0.0
+    return J
 
 
-def _differences(
-    f: Evaluate, z: np.ndarray, f0: np.ndarray, j: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return the best central differences (n, N), errors and steps, and f over z_j in size."""
-    K, N = _STEPS.size, z.shape[1]
-    h = _STEPS[:, None] * step_scale(z[j])
-    shifts = np.zeros((z.shape[0], 2, K, N))
-    shifts[j, 0], shifts[j, 1] = h, -h
-    values = f((z[:, None, None] + shifts).reshape(z.shape[0], -1)).reshape(-1, 2, K, N)
-    up, down = values[:, 0], values[:, 1]
-    with np.errstate(invalid="ignore"):
-        size = np.nanmax(np.abs(values), axis=(1, 2))[:, None]
-        central = (up - down) / (2 * h)
-        noise = 4 * _EPS * (size + np.abs(central * z[j])) / h
-        _refuse_kink(np.abs(up - 2 * f0[:, None] + down) / h, np.abs(central), noise, j)
-        # Neighbouring steps differ by the truncation error of the larger one.
-        error = np.abs(np.diff(central, axis=1)) + noise[:, 1:]
-    error = np.where(np.isnan(error), np.inf, error)
-    best = np.argmin(error, axis=1)[:, None]
-    if np.isinf(np.take_along_axis(error, best, axis=1)).any():
-        raise KinkError(
-            f"no derivative with respect to component {j} of (x, u): the function is undefined"
-            " on at least one side of the point"
-        )
-    value, estimate = (np.take_along_axis(a, best, axis=1)[:, 0] for a in (central[:, 1:], error))
-    rate = np.maximum(np.abs(value), size[:, 0] / step_scale(z[j]))
-    return value, estimate, h[1:][best[:, 0], np.arange(N)], rate
+def search_jacobian(f: Evaluate, z: np.ndarray, s: np.ndarray) -> np.ndarray:
+    """Return d f / d z at one point z (k,), fast and not verified; NaN where undefined.
 
-
-def _refuse_kink(jump: np.ndarray, slope: np.ndarray, noise: np.ndarray, j: int) -> None:
-    """Raise where the one-sided derivatives differ by an amount that does not shrink with h.
-
-    All are (n, K, N), over steps that fall by a factor of ten. The difference of the
-    one-sided slopes falls like h where f is smooth and stays where it has a kink.
+    By complex step, if that agrees with differences along one direction, or by differences of
+    steps of 1e-6 s.
     """
-    smaller, larger = jump[:, 1:], jump[:, :-1]
-    significant = smaller > np.maximum(1e3 * noise, 1e-7 * slope)[:, 1:]
-    kink = (smaller > 0.7 * larger) & significant
-    # A kink near the point shows at large steps only; one at the point shows at small ones.
-    lasting = kink[:, 2:5].all(axis=1)
-    if lasting.any():
-        raise KinkError(
-            f"no derivative with respect to component {j} of (x, u): the slopes on both sides"
-            f" differ by {jump[:, 4][lasting].max():.3g}; move the point away from the kink"
+    with np.errstate(all="ignore"):
+        direction = s * np.random.default_rng(z.size).uniform(0.5, 1.0, z.size)
+        exact = complex_step(f, z[:, None], s[:, None], np.arange(z.size))
+        if exact is not None:
+            steps = np.array([2e-5, -2e-5, 1e-5, -1e-5])
+            values = f(z[:, None] + direction[:, None] * steps).T.astype(float)
+            J = exact[..., 0]
+            slope = (values[::2] - values[1::2]) / (2 * steps[::2, None])
+            found, size = (4 * slope[1] - slope[0]) / 3, np.abs(J) @ direction
+            allowed = 1e-3 * size + 2 * np.abs(slope[1] - slope[0]) + 1e-9 * np.abs(values[0])
+            if (np.abs(J @ direction - found) <= allowed).all():
+                return J
+        h = 1e-6 * np.diag(s)
+        up, down = np.split(
+            f(z[:, None] + np.concatenate([h, -h], axis=1)).astype(float), 2, axis=1
+        )
+        return (up - down) / (2e-6 * s)
+
+
+class _Differentiation:
+    """The derivatives of f at points z, while they are being found."""
+
+    def __init__(
+        self,
+        f: Evaluate,
+        z: np.ndarray,
+        columns: Sequence[int] | None,
+        scale: np.ndarray | None,
+        labels: Sequence[str] | None,
+        f0: np.ndarray | None,
+    ) -> None:
+        self.f, self.z = f, z
+        self.columns = np.arange(len(z)) if columns is None else np.asarray(columns, dtype=int)
+        self.s = step_scale(z) if scale is None else scale
+        self.labels = labels or [f"component {j} of (x, u)" for j in range(len(z))]
+        self.f0 = f(z) if f0 is None else f0
+        self.eps = _EPS
+        self._note_precision(self.f0)
+
+    def _note_precision(self, values: np.ndarray) -> None:
+        """A function that returns float32 has no more precision than that."""
+        if values.dtype == np.float32 or values.dtype == np.float16:
+            self.eps = float(np.finfo(values.dtype).eps)
+            self.f0 = self.f0.astype(float)
+
+    def result(self) -> Derivative:
+        n, N, c = len(self.f0), self.z.shape[1], len(self.columns)
+        self.inexact = np.zeros((n, c, N), dtype=bool)
+        self.flat = np.zeros((n, N), dtype=bool)
+        self.error = np.zeros((n, c, N))
+        self.J = np.zeros((n, c, N))
+        if n * N * c:
+            exact = complex_step(self.f, self.z, self.s, self.columns)
+            if exact is not None:
+                self.J = exact if np.isfinite(exact).all() else exact + 0 * exact  # inf to NaN
+            if exact is None or N <= _ALONE:
+                self._check_alone(np.arange(c), np.arange(N), exact is not None)
+            else:
+                self._check_jointly()
+        order = (2, 0, 1)
+        return Derivative(
+            self.J.transpose(order),
+            self.error.transpose(order),
+            self.inexact.transpose(order),
+            self.flat.T,
         )
 
-
-def _adaptive(
-    f: Evaluate, z: np.ndarray, j: int, step: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return adaptive differences (n, N) and their error estimates, point by point."""
-    value, error = np.empty(step.shape), np.empty(step.shape)
-    for i, k in np.ndindex(*step.shape):
-
-        def component(t: np.ndarray, i: int = i, k: int = k) -> np.ndarray:
-            points = np.repeat(z[:, k : k + 1], t.size, axis=1)
-            points[j] = np.ravel(t)
-            return f(points)[i].reshape(t.shape)
-
-        result = scipy.differentiate.derivative(
-            component, z[j, k], initial_step=4 * step[i, k], order=4
+    def _check_jointly(self) -> None:
+        """Check J of many points along random directions, and alone where that says little."""
+        rng = np.random.default_rng(0)
+        J, N, c = self.J, self.z.shape[1], len(self.columns)
+        d = np.zeros((len(self.z), 1))
+        d[self.columns, 0] = rng.uniform(0.5, 1, c) * rng.choice([-1, 1], c)
+        d, shrink = d * self.s, 0.05  # J takes in all columns: smaller steps than alone
+        change = np.stack([self.f(self.z + shrink * r * d) - self.f0 for r in _STEPS], axis=1)
+        value, spread, jump, _ = (_WEIGHTS @ change / shrink).swapaxes(0, 1)
+        size = J * d[self.columns]
+        expected = size.sum(axis=1)
+        np.abs(size, out=size)
+        terms, most = size.sum(axis=1), size.max(axis=1)
+        noise = (16 * self.eps / shrink / _RADII[-1]) * (np.abs(self.f0) + terms)
+        spread = np.abs(spread)
+        right = (np.abs(value - expected) <= 0.1 * spread + noise) & (
+            np.abs(jump) <= 8 * noise + 0.03 * spread
         )
-        found = np.isfinite(result.df) and np.isfinite(result.error)
-        value[i, k], error[i, k] = (result.df, result.error) if found else (0.0, np.inf)
-    return value, error
+        right &= spread <= 1e-8 * terms + noise
+        size[size == 0] = np.inf
+        again = ~right.all(axis=0) | (size.min(axis=1) < 1e-6 * most).any(axis=0)
+        # A column that seems to have no part in a row may have one that the step does not see.
+        again[rng.choice(N, _ALONE // 2, replace=False)] = True
+        points = np.flatnonzero(again)
+        before = J[..., points].copy()
+        self._check_alone(np.arange(c), points, True)
+        changed = ((before != J[..., points]) | (self.error[..., points] > 0)).any(axis=(0, 2))
+        if changed.any():
+            self._check_alone(np.flatnonzero(changed), np.flatnonzero(~again), True)
+
+    def _check_alone(self, cols: np.ndarray, points: np.ndarray, known: bool) -> None:
+        """Check columns of J, or find them where they are not known, one by one."""
+        chosen, z, s = self.columns[cols], self.z[:, points], self.s[:, points]
+        f0, s_j = self.f0[:, None, points], s[chosen]
+        steps = np.append(_STEPS, _FAR) if known else _STEPS
+        shifted = np.empty((len(z), cols.size, steps.size, points.size))
+        shifted[:] = z[:, None, None]
+        shifted[chosen, np.arange(cols.size)] += steps[:, None] * s_j[:, None]
+        values = self.f(shifted.reshape(len(z), -1)).reshape(-1, *shifted.shape[1:])
+        self._note_precision(values)
+        moved = values - f0[:, :, None]
+        T, spread, jump, bend = np.moveaxis(_WEIGHTS @ moved[:, :, :6], 2, 0)
+        size = np.abs(moved)
+        change = size[:, :, :6].max(axis=2)
+        here: Any = np.ix_(np.arange(len(self.J)), cols, points)
+        if (here[0].size, cols.size, points.size) == self.J.shape:
+            here = ...  # much faster
+        if known:
+            self._drop_residue(here, cols, points, change / s_j)
+        share = self.J[here] * s_j if known else T
+        part = np.abs(share)
+        rate = (change / _RADIUS).max(axis=1)
+        row = np.maximum(part.max(axis=1), rate)[:, None]
+        noise = (4 * self.eps / _RADII[-1]) * (np.abs(f0) + change)
+        err = np.abs(spread) + noise
+        good = np.abs(jump) <= 20 * noise + 3e-3 * np.abs(bend) + 0.03 * np.abs(spread)
+        if known:
+            good &= err <= 1e-3 * part + 1e-7 * row
+            good &= np.abs(T - share) <= 0.1 * np.abs(spread) + noise
+            # A slope that the rounding of z makes (of cos at pi/2) is a zero.
+            even = np.abs(moved[:, :, 0] + moved[:, :, 3]) / _RADIUS**2
+            tiny = part <= 2 * _EPS * np.abs(z[chosen]) / s_j * even
+            # Noise may hide an entry: look further, unless it is itself no more than rounding.
+            good &= (noise <= 1e-3 * part) | (part <= 16 * _EPS * row) | tiny
+            rest = np.abs(moved - share[:, :, None] * steps[:, None])
+            near = np.maximum(rest[:, :, :6].max(axis=2), noise)
+            good &= rest[:, :, 6] <= 1e8 * near  # or it was the tread of a stair
+            good |= (share == 0) & (np.maximum(change, size[:, :, 6]) == 0)
+            self.J[here] = np.where(tiny & good, 0.0, self.J[here])
+        else:
+            still = change == 0
+            good &= err <= 1e-7 * row
+            good &= ~still.all(axis=0)  # a column without effect may be a stair's tread
+            self.J[here] = np.where(np.abs(T) <= err, 0.0, T) / s_j
+            self.error[here] = np.where(still, 0.0, err) / s_j
+            self.inexact[here] = ~still
+        self.flat[:, points] |= part.max(axis=1) < 0.1 * rate
+        if not good.all():
+            full = np.zeros(self.f0.shape)
+            full[:, points] = row[:, 0]
+            for a in np.flatnonzero(~good.all(axis=(0, 2))):
+                bad = np.flatnonzero(~good[:, a].all(axis=0))
+                for some in np.array_split(points[bad], -(-bad.size // 256)):
+                    self._search(int(cols[a]), some, known, full[:, some])
+
+    def _drop_residue(
+        self, here: Any, cols: np.ndarray, points: np.ndarray, rate: np.ndarray
+    ) -> None:
+        """Put zeros for what the step leaves of a zero slope, as of x^3 at 0."""
+        J = self.J
+        suspect = (J[here] != 0) & ~(np.abs(J[here]) > 1e-18 * rate)
+        if suspect.any():
+            z, s = self.z[:, points], self.s[:, points]
+            again = complex_step(self.f, z, s, self.columns[cols], _COMPLEX_STEP * 1e-10)
+            if again is not None:
+                steady = np.abs(again - J[here]) <= 1e-3 * np.abs(J[here])
+                J[here] = np.where(suspect & ~steady, 0.0, J[here])
+
+    def _search(self, a: int, points: np.ndarray, known: bool, row: np.ndarray) -> None:
+        """Find column a of J at points where the first differences did not settle."""
+        J, error, j = self.J, self.error, int(self.columns[a])
+        z, s = self.z[:, points], self.s[j, points]
+
+        def along(steps: np.ndarray, which: np.ndarray) -> np.ndarray:
+            """Return f at z + steps e_j of some points: (Q, P) to (n, Q, P)."""
+            shifted = np.repeat(z[:, None, which], len(steps), axis=1)
+            shifted[j] += steps
+            return self.f(shifted.reshape(len(z), -1)).reshape(-1, *steps.shape).astype(float)
+
+        exact = J[:, a, points] if known else None
+        ladder = descend(along, self.f0[:, points], z[j], s, exact, self.eps, 1e-9 * row / s)
+        self._refuse(ladder, j)
+        value, err = ladder.value, ladder.error
+        if exact is None:
+            J[:, a, points] = np.where(np.abs(value) <= err, 0.0, value)
+            error[:, a, points] = np.where(ladder.still, 0.0, err)
+            return
+        agree = np.abs(exact - value) <= 3 * err + 5e-14 * row / s
+        trusted = err <= _TRUSTED * np.abs(exact)
+        # Where noise hides the slope, the complex step stands, with what is known of it.
+        rounding = np.abs(exact) <= ladder.residue
+        kept = np.where(rounding, 0.0, exact)
+        sure = trusted | rounding | ladder.still | ((exact == 0) & (value == 0))
+        doubt = np.where(sure, 0.0, np.abs(exact - value) + err)
+        J[:, a, points] = np.where(agree, kept, value)
+        error[:, a, points] = np.where(agree, doubt, np.maximum(err, _EPS * np.abs(value)))
+        hidden = doubt > _TRUSTED * np.maximum(row / s, ladder.rate)
+        self.inexact[:, a, points] = ~agree | hidden
+
+    def _refuse(self, ladder: Ladder, j: int) -> None:
+        """Raise where column j has no derivative."""
+        label = self.labels[j]
+        if ladder.undefined.any():
+            raise KinkError(
+                f"no derivative with respect to {label}: the function is undefined on at least"
+                " one side of the point; move the point into the domain"
+            )
+        if ladder.kink.any():
+            i, p = np.argwhere(ladder.kink)[0]
+            below, above = ladder.sides[:, i, p]
+            size = abs(above - below)
+            below, above = (v if abs(v) > 1e-9 * size else 0.0 for v in (below, above))
+            raise KinkError(
+                f"no derivative with respect to {label}: the slope of row {i} is {below:.7g} below"
+                f" the point and {above:.7g} above it, as at the edge of a saturation; to take"
+                f" one side, move {label} off the edge to that side, or leave {label} out"
+                " (inputs=, states=)"
+            )
+        if ladder.unsettled.any():
+            i, p = np.argwhere(ladder.unsettled)[0]
+            raise KinkError(
+                f"no derivative could be determined with respect to {label}: the differences of"
+                f" row {i} do not settle (error estimate {ladder.error[i, p]:.1g}); move the point"
+                f" away from the discontinuity, or leave {label} out (inputs=, states=)"
+            )

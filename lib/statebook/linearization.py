@@ -3,20 +3,33 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from statebook.derivatives import InexactDerivativeWarning, derivative
-from statebook.equilibrium import jacobian, point, residual_size
+from statebook.derivatives import InexactDerivativeWarning, differentiate
 from statebook.errors import NotAnEquilibriumError
-from statebook.systems import System, as_system
+from statebook.residuals import TOLERANCE, jacobian, labels_among, noise_of, point, scale_of
+from statebook.systems import System, as_system, output_map, time_of
 
 if TYPE_CHECKING:
     import control
 
+_RANK = 1e-13  # of a slope that rounding makes, beside others
+_BESIDE = 1e-12  # relative distance from x0 to the equilibrium that changes nothing
 
-def jacobians(f: Any, x0: Any, u0: Any = None) -> tuple[np.ndarray, np.ndarray]:
+
+def jacobians(
+    f: Any,
+    x0: Any,
+    u0: Any = None,
+    *,
+    t: float | None = None,
+    states: Sequence[str] | None = None,
+    inputs: Sequence[str] | None = None,
+    scale: Mapping[str, float] | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
     """Differentiate f(x, u) with respect to x and u.
 
     A = d f / d x, B = d f / d u, by complex step where f is analytic, which is checked.
@@ -30,23 +43,33 @@ def jacobians(f: Any, x0: Any, u0: Any = None) -> tuple[np.ndarray, np.ndarray]:
         The point, any point: it need not be an equilibrium.
     u0 : array, shape (m,) or (m, N), optional
         Zeros if omitted.
+    t : float, optional [s]
+        The time, for a system that depends on it.
+    states, inputs : sequence of str, optional
+        Labels of the states and inputs to differentiate with respect to, in this order; all by
+        default. One that is left out may have a kink at the point.
+    scale : mapping of label to float > 0, optional
+        Over which distance f varies with a state or input, in its unit; by default its own
+        size, and 1 where it is 0. Other scales are found too, by more evaluations.
 
     Returns
     -------
     A : array, shape (n, n) or (N, n, n)
     B : array, shape (n, m) or (N, n, m)
+        With fewer columns if `states` or `inputs` are given.
 
     Raises
     ------
     KinkError
         f has no derivative at the point.
     TypeError, ValueError
-        x0, u0 or what f returns has the wrong type or shape, or is not finite.
+        x0, u0 or what f returns has the wrong type or shape, or is not finite; a label that the
+        system does not have; t is missing.
 
     Warns
     -----
     InexactDerivativeWarning
-        f is not analytic, so that adaptive differences were used.
+        f is not analytic, or noise hides a derivative; the message gives the error.
 
     Examples
     --------
@@ -57,19 +80,133 @@ def jacobians(f: Any, x0: Any, u0: Any = None) -> tuple[np.ndarray, np.ndarray]:
     """
     system = as_system(f, x0, u0)
     x0, u0 = point(system, x0, u0)
-    J, error = jacobian(system, x0, u0)
-    if error.any():
-        warnings.warn(
-            f"{system.name} is not analytic at the point: its derivatives are adaptive"
-            f" differences with an estimated error of {error.max():.1g}",
-            InexactDerivativeWarning,
-            stacklevel=2,
-        )
-    A, B = J[..., : system.n], J[..., system.n :]
+    x, u = (a if a.ndim == 1 else a[:, 0] for a in (x0, u0))
+    t = time_of(system, x, u, t)
+    f0 = system.dynamics(x0, u0 if u0.ndim <= x0.ndim else u, t)  # reports what is wrong with f
+    columns, split = _columns(system, states, inputs)
+    J, error, inexact, _ = jacobian(
+        system, x0, u0, t, columns=columns, scale=scale, f0=f0 if u0.ndim <= x0.ndim else None
+    )
+    _warn(system, error, inexact)
+    A, B = J[..., :split], J[..., split:]
     return (A[0], B[0]) if x0.ndim == u0.ndim == 1 else (A, B)
 
 
-def linearize(system: Any, x0: Any, u0: Any = None) -> control.StateSpace:
+def _columns(
+    system: System, states: Sequence[str] | None, inputs: Sequence[str] | None
+) -> tuple[list[int] | None, int]:
+    """Return the numbers of the columns by label, None for all, and how many are states."""
+    if states is None and inputs is None:
+        return None, system.n
+    chosen = system.states if states is None else labels_among("states", states, system.states)
+    driven = system.inputs if inputs is None else labels_among("inputs", inputs, system.inputs)
+    labels = (*system.states, *system.inputs)
+    return [labels.index(label) for label in (*chosen, *driven)], len(chosen)
+
+
+def _warn(system: System, error: np.ndarray, inexact: np.ndarray) -> None:
+    if inexact.any():
+        warnings.warn(
+            f"{system.name} is not analytic at the point, or noise hides a derivative: adaptive"
+            f" differences were used, with an estimated error of {error[inexact].max():.1g}",
+            InexactDerivativeWarning,
+            stacklevel=3,
+        )
+
+
+def linear_part(
+    system: System,
+    x0: np.ndarray,
+    u0: np.ndarray,
+    t: float = 0.0,
+    *,
+    columns: Sequence[int] | None = None,
+    scale: Mapping[str, float] | None = None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the Jacobian at an equilibrium, and how well it is known.
+
+    Parameters
+    ----------
+    system : System
+    x0, u0 : array, shape (n,) and (m,)
+    t : float [s]
+    columns : sequence of int, optional
+        The c components of (x, u) to differentiate with respect to; all by default.
+    scale : mapping of label to float > 0, optional
+
+    Returns
+    -------
+    J, error, inexact : array, shape (n, c)
+        The error is that of the derivative, and what J changes by between x0 and the exact
+        equilibrium beside it; an entry below its error is 0. The last marks what the complex
+        step does not vouch for.
+
+    Raises
+    ------
+    NotAnEquilibriumError
+        f(x0, u0) is not 0 (or not x0, in discrete time).
+    """
+    n, z = system.n, np.concatenate([x0, u0])
+    kept = np.arange(z.size) if columns is None else np.asarray(columns, dtype=int)
+    f0 = system.dynamics(x0, u0, t)
+    rest = f0 - x0 if system.discrete else f0
+    (J,), (error,), (inexact,), (flat,) = jacobian(
+        system, x0, u0, t, columns=columns, scale=scale, f0=f0
+    )
+    slope = J - np.eye(n, z.size)[:, kept] if system.discrete else J
+    s = scale_of(system, z[:, None], scale)[:, 0]
+
+    def residual(z: np.ndarray) -> np.ndarray:
+        return system.probe(z[:n], z[n:], t) - (z[:n] if system.discrete else 0.0)
+
+    states = np.flatnonzero(kept < n)
+    scaled, size = slope[:, states] * s[kept[states]], s[kept[states]]
+    terms = np.abs(slope) @ np.abs(z[kept])
+    doubtful = flat.any() or error.any() or (np.abs(rest) > 1e-12 * terms).any()
+    if not doubtful and _is_sound(scaled):
+        return J, error, inexact
+    noise = noise_of(residual, z, np.maximum(s, 1.0))
+    allowed = TOLERANCE * terms + noise
+    if (np.abs(rest) > allowed).any():
+        worst = np.argmax(np.abs(rest) / np.maximum(allowed, 1e-300))
+        reach = np.abs(residual(z[:, None] + np.diag(0.1 * s))[worst])
+        size = max(float(terms[worst]), float(np.nanmax(reach, initial=0.0)))
+        raise NotAnEquilibriumError(
+            f"x0 is not an equilibrium: |f(x0, u0){' - x0' if system.discrete else ''}| ="
+            f" {abs(rest[worst]):.3g} against a scale of {size:.3g}; call find_equilibrium first,"
+            " or use jacobians for the affine model"
+        )
+    # The equilibrium is beside x0, by as much as the residual and its noise leave open.
+    open_to = np.linalg.lstsq(scaled, np.stack([rest, noise / 8], axis=1), rcond=_RANK)[0].T
+    for move in open_to * size:
+        if (np.abs(move) > _BESIDE * size).any():
+            other = x0.copy()
+            other[kept[states]] -= move
+            try:
+                changed = jacobian(system, other, u0, t, columns=columns, scale=scale)[0][0] - J
+            except ValueError:  # a kink beside the point
+                continue
+            error = np.maximum(error, np.abs(changed))
+    return np.where(np.abs(J) <= error, 0.0, J), error, inexact
+
+
+def _is_sound(J: np.ndarray) -> bool:
+    """Whether all singular values of J, rows in units of their own, are far from rounding."""
+    rows = np.abs(J).max(axis=1, initial=0.0)
+    values = np.linalg.svd(J / np.where(rows > 0, rows, 1.0)[:, None], compute_uv=False)
+    return not ((values > _RANK) & (values < 1e-6)).any()
+
+
+def linearize(
+    system: Any,
+    x0: Any,
+    u0: Any = None,
+    *,
+    t: float | None = None,
+    states: Sequence[str] | None = None,
+    inputs: Sequence[str] | None = None,
+    scale: Mapping[str, float] | None = None,
+) -> control.StateSpace:
     """Linearize a system at an equilibrium.
 
     d x' = A d x + B d u with the exact Jacobians of f at (x0, u0), and likewise for the
@@ -82,6 +219,13 @@ def linearize(system: Any, x0: Any, u0: Any = None) -> control.StateSpace:
     x0 : array, shape (n,)
     u0 : array, shape (m,), optional
         Zeros if omitted.
+    t : float, optional [s]
+        The time, for a system that depends on it: the linear system holds near that time.
+    states, inputs : sequence of str, optional
+        Labels of the states and inputs to keep, in this order; all by default. The others are
+        held at x0 and u0, where f may have a kink.
+    scale : mapping of label to float > 0, optional
+        Over which distance f varies with a state or input; see jacobians.
 
     Returns
     -------
@@ -96,7 +240,8 @@ def linearize(system: Any, x0: Any, u0: Any = None) -> control.StateSpace:
     KinkError
         f has no derivative at the point.
     TypeError, ValueError
-        x0 or u0 has the wrong type or shape, or is not finite.
+        x0 or u0 has the wrong type or shape, or is not finite; a label that the system does not
+        have; t is missing.
 
     References
     ----------
@@ -113,33 +258,35 @@ def linearize(system: Any, x0: Any, u0: Any = None) -> control.StateSpace:
 
     system = as_system(system, x0, u0)
     x0, u0 = point(system, x0, u0, batch=False)
-    size, allowed, scale = residual_size(system, x0, u0)
-    if size > allowed:
-        raise NotAnEquilibriumError(
-            f"x0 is not an equilibrium: |f(x0, u0){' - x0' if system.discrete else ''}| ="
-            f" {size:.3g} against a scale of {scale:.3g}; call find_equilibrium first, or use"
-            " jacobians for the affine model"
-        )
-    A, B = jacobians(system, x0, u0)
-    outputs, C, D = _output_map(system, x0, u0)
-    inputs = list(system.inputs)
+    t = time_of(system, x0, u0, t)
+    columns, split = _columns(system, states, inputs)
+    J, error, inexact = linear_part(system, x0, u0, t, columns=columns, scale=scale)
+    _warn(system, error, inexact)
+    outputs, H = _outputs(system, x0, u0, t, columns)
+    kept = [*system.states, *system.inputs]
+    if columns is not None:
+        kept = [kept[j] for j in columns]
+        J = J[columns[:split]]
+    inputs, B, D = kept[split:], J[:, split:], H[:, split:]
     if not inputs:
-        inputs, B, D = ["none"], np.zeros((system.n, 1)), np.zeros((len(outputs), 1))
-    labels = {"states": list(system.states), "inputs": inputs, "outputs": outputs}
-    return control.ss(A, B, C, D, system.dt, **labels, name=f"{system.name}_linearized")
+        inputs, B, D = ["none"], np.zeros((split, 1)), np.zeros((len(outputs), 1))
+    labels = {"states": kept[:split], "inputs": inputs, "outputs": outputs}
+    name = f"{system.name}_linearized"
+    return control.ss(J[:, :split], B, H[:, :split], D, system.dt, **labels, name=name)
 
 
-def _output_map(
-    system: System, x0: np.ndarray, u0: np.ndarray
-) -> tuple[list[str], np.ndarray, np.ndarray]:
-    """Return the labels of the outputs and their derivatives C and D."""
-    sys = system.source
-    if not hasattr(sys, "output_labels"):
-        return list(system.states), np.eye(system.n), np.zeros((system.n, system.m))
-
-    def evaluate(z: np.ndarray) -> np.ndarray:
-        columns = [sys.output(0.0, c[: system.n], c[system.n :]) for c in z.T]
-        return np.stack([np.asarray(y) for y in columns], axis=1)
-
-    J, _ = derivative(evaluate, np.concatenate([x0, u0])[:, None])
-    return list(sys.output_labels), J[0][:, : system.n], J[0][:, system.n :]
+def _outputs(
+    system: System, x0: np.ndarray, u0: np.ndarray, t: float, columns: list[int] | None
+) -> tuple[list[str], np.ndarray]:
+    """Return the labels of the outputs and their derivatives with respect to (x, u)."""
+    n, z = system.n, np.concatenate([x0, u0])
+    kept = list(range(z.size)) if columns is None else columns
+    labels, output = output_map(system)
+    if output is None:
+        states = [j for j in kept if j < n]
+        return [system.states[j] for j in states], np.eye(z.size)[np.ix_(states, kept)]
+    J, error, inexact, _ = differentiate(
+        lambda z: output(z[:n], z[n:], t), z[:, None], kept, labels=(*system.states, *system.inputs)
+    )
+    _warn(system, error, inexact)
+    return list(labels), J[0]

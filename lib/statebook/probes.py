@@ -11,28 +11,88 @@ import numpy as np
 
 from statebook._validate import brief
 
+_TIME = ("t", "time", "_t")
+_TIMES = (0.0, 1e-3, 0.7310586, 4.269, 61.803, 2718.28)
+_INPUTS = 12  # up to which the number of a function's inputs is looked for
+
 
 def arguments_of(f: Callable[..., Any]) -> tuple[int, int]:
-    """Return how many of x, u the function requires and how many it accepts."""
-    try:
-        parameters = inspect.signature(f).parameters.values()
-    except (TypeError, ValueError):  # built in C: nothing to read
-        return 1, 2
-    positional = [p for p in parameters if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)]
-    required = sum(p.default is p.empty for p in positional)
-    variadic = any(p.kind is p.VAR_POSITIONAL for p in parameters)
-    if required > 2 or not (positional or variadic):
+    """Return how many of x, u, t the function requires and how many it accepts.
+
+    Raises
+    ------
+    TypeError
+        It takes the time first, x and the time alone, or something else.
+    """
+    code = getattr(f, "__code__", None)
+    if code is not None and not (code.co_flags & 0x0C or code.co_kwonlyargcount):
+        # Much faster than a signature, and most functions are this plain.
+        names = list(code.co_varnames[: code.co_argcount])
+        required = len(names) - len(getattr(f, "__defaults__", None) or ())
+        variadic = False
+        if inspect.ismethod(f):
+            names, required = names[1:], max(required - 1, 0)
+    else:
+        try:
+            parameters = inspect.signature(f).parameters.values()
+        except (TypeError, ValueError):  # built in C: nothing to read
+            return 1, 2
+        kinds = [p for p in parameters if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)]
+        names = [p.name for p in kinds]
+        required = sum(p.default is p.empty for p in kinds)
+        variadic = any(p.kind is p.VAR_POSITIONAL for p in parameters)
+    given = ", ".join(names)
+    if len(names) > 1 and (names[0] in _TIME or (required == 2 and names[1] in _TIME)):
+        order = "x, u, t" if len(names) > 2 else "x, t"
         raise TypeError(
-            f"a system's function must take (x) or (x, u), got {required} required arguments;"
-            " bind the others first (functools.partial)"
+            f"a system's function must take (x), (x, u) or (x, u, t), got one of ({given}), with"
+            f" the time in another place; write lambda x, u, t: f({', '.join(names[:3])})"
+            + ("" if order == "x, u, t" else " and leave u0 out")
         )
-    return max(required, 1), 2 if variadic else len(positional)
+    if required > 3 or not (names or variadic):
+        raise TypeError(
+            f"a system's function must take (x), (x, u) or (x, u, t), got {required} required"
+            " arguments; bind the others first (functools.partial)"
+        )
+    timed = len(names) > 2 and (required == 3 or names[2] in _TIME)
+    accepted = 2 if variadic else 3 if timed else min(len(names), 2)
+    return max(required, 1), accepted
+
+
+def number_of_inputs(call: Callable[[np.ndarray], Any], n: int) -> int | None:
+    """Return how many inputs a function takes, or None where that is not clear.
+
+    Parameters
+    ----------
+    call : callable
+        The function of u at a given state; it raises where u has too few entries.
+    n : int
+        Number of states, the length of what it returns.
+    """
+
+    def returned(u: np.ndarray) -> np.ndarray | None:
+        try:
+            value = np.asarray(call(u), dtype=float)
+        except Exception:  # an entry that u does not have, a matrix of another width
+            return None
+        return value if value.shape == (n,) else None
+
+    drive = 0.3 + 0.1 * np.arange(_INPUTS + 1)
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        results = [returned(drive[:m]) for m in range(_INPUTS + 1)]
+    works = [m for m, value in enumerate(results) if value is not None]
+    if not works:
+        return None
+    first = results[works[0]]
+    alike = all(np.array_equal(results[m], first, equal_nan=True) for m in works)  # type: ignore[arg-type]
+    return works[0] if alike else None
 
 
 def require_pure(f: Callable[..., Any], arguments: tuple[np.ndarray, ...]) -> None:
     """Refuse a function that changes its arguments or remembers its last call."""
     copies = [a.copy() for a in arguments]
-    first = np.array(f(*copies))
+    first = f(*copies)
     _require_unchanged(arguments, copies)
     # An equilibrium at 0 hides both a memory (of 0) and x *= 2: call f beside it in between.
     beside = [a + 1e-3 * (1 + np.abs(a)) for a in arguments]
@@ -41,10 +101,10 @@ def require_pure(f: Callable[..., Any], arguments: tuple[np.ndarray, ...]) -> No
         warnings.simplefilter("ignore")
         try:
             f(*copies)
-        except (ValueError, ArithmeticError):  # outside its domain
+        except Exception:  # outside its domain, whatever it raises there
             copies = beside
     _require_unchanged(beside, copies)
-    second = np.array(f(*(a.copy() for a in arguments)))
+    second = f(*(a.copy() for a in arguments))
     if first.dtype.kind in "biufc" and not np.array_equal(first, second, equal_nan=True):
         raise ValueError(
             "a system's function must depend on its arguments alone, but two calls at"
@@ -98,6 +158,22 @@ def takes_batches(
         and batch.shape == expected.shape
         and bool(np.allclose(batch, expected, rtol=rtol, atol=0, equal_nan=True))
     )
+
+
+def depends_on_time(
+    f: Callable[[np.ndarray, np.ndarray, float], Any], x: np.ndarray, u: np.ndarray
+) -> bool:
+    """Whether f(x, u, t) differs between times, beside x (where t x does not vanish) or at x."""
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        for near in (0.1, -0.1, 0.0):
+            state, drive = (a + near * (1 + np.abs(a)) for a in (x, u))
+            try:
+                values = [np.array(f(state, drive, t)) for t in _TIMES]
+            except Exception:  # outside its domain; what it raises at x itself, its caller shows
+                continue
+            return not all(np.array_equal(values[0], v, equal_nan=True) for v in values)
+    return False
 
 
 def spread_beside(x: np.ndarray, number: int) -> np.ndarray:

@@ -9,7 +9,14 @@ from typing import Any
 import numpy as np
 
 from statebook import _validate
-from statebook.probes import arguments_of, require_pure, spread_beside, takes_batches
+from statebook.probes import (
+    arguments_of,
+    depends_on_time,
+    number_of_inputs,
+    require_pure,
+    spread_beside,
+    takes_batches,
+)
 
 
 @dataclass(frozen=True)
@@ -28,6 +35,10 @@ class System:
         A name for messages and figures.
     source : object
         What the system was made from.
+    batched : bool
+        Its rate takes a batch of states.
+    timed : bool
+        Its rate has a time among its arguments; whether it depends on it, time_of finds out.
     """
 
     rate: Callable[[Any, Any, float], Any] = field(repr=False)
@@ -38,6 +49,7 @@ class System:
     name: str = "system"
     source: Any = field(default=None, repr=False)
     batched: bool = True
+    timed: bool = False
 
     @property
     def n(self) -> int:
@@ -63,7 +75,7 @@ class System:
         u : array, shape (m,) or (m, N), optional
             Zeros if omitted.
         t : float [s]
-            Time, for a python-control system that depends on it.
+            Time, for a system that depends on it.
 
         Returns
         -------
@@ -88,17 +100,26 @@ class System:
         columns = [self._check(self.rate(*xu, t), xu[0]) for xu in zip(x.T, u.T, strict=True)]
         return np.stack(columns, axis=1) if columns else np.empty(x.shape)
 
-    def probe(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
+    def probe(self, x: np.ndarray, u: np.ndarray, t: float = 0.0) -> np.ndarray:
         """Evaluate f at a batch that may leave its domain.
 
         Parameters
         ----------
         x, u : array, shape (n, N) and (m, N)
+            Real or complex.
+        t : float [s]
 
         Returns
         -------
         array, shape (n, N)
-            NaN in the columns where f is undefined or raises an arithmetic error.
+            NaN in the columns where f is undefined or raises whatever it raises there.
+
+        Raises
+        ------
+        ValueError
+            What f returned at one state has another shape than at others.
+        Exception
+            Whatever f raises at a complex state: it may not know complex numbers.
 
         Examples
         --------
@@ -108,13 +129,26 @@ class System:
         """
         with np.errstate(all="ignore"):
             if self.batched:
-                return np.asarray(self.rate(x, u, 0.0))
+                try:
+                    return np.asarray(self.rate(x, u, t))
+                except Exception:  # one column's, perhaps
+                    if np.iscomplexobj(x):
+                        raise
+                    if x.shape[1] == 1:
+                        return np.full(x.shape, np.nan)
             columns = []
             for column in zip(x.T, u.T, strict=True):
                 try:
-                    columns.append(np.asarray(self.rate(*column, 0.0)))
-                except (ValueError, ArithmeticError):  # math.sqrt(-1), 1 / 0
+                    columns.append(np.asarray(self.rate(*column, t)))
+                except Exception:  # math.sqrt(-1), 1 / 0, a table's end
+                    if np.iscomplexobj(column[0]):
+                        raise
                     columns.append(np.full(self.n, np.nan))
+                if columns[-1].shape != (self.n,):
+                    raise ValueError(
+                        f"{self.name} must return shape {(self.n,)} everywhere, got"
+                        f" {columns[-1].shape} at x = {_validate.brief(column[0])}"
+                    )
             return np.stack(columns, axis=1)
 
     def _check(self, value: Any, x: np.ndarray) -> np.ndarray:
@@ -125,18 +159,26 @@ class System:
 
 
 def as_system(
-    system: Any, x0: Any = None, u0: Any = None, *, dt: float | bool | None = None
+    system: Any,
+    x0: Any = None,
+    u0: Any = None,
+    *,
+    dt: float | bool | None = None,
+    names: tuple[str, str] = ("x0", "u0"),
 ) -> System:
     """View anything that has dynamics as a System.
 
     Parameters
     ----------
-    system : library model, function f(x, u) or f(x), control.NonlinearIOSystem or StateSpace
-        A System is returned as it is.
+    system : library model, function, control.NonlinearIOSystem or control.StateSpace
+        A function is f(x), f(x, u) or f(x, u, t). A System is returned as it is.
     x0, u0 : array, shape (n,) or (n, N) and (m,) or (m, N), optional
-        An example state and input. A function needs x0 to know n, and u0 to know m.
+        An example state and input. A function needs x0 to know n; without u0 it is asked how
+        many inputs it takes.
     dt : float, bool or None
         Timebase of a function. Other systems know theirs; a contradiction is refused.
+    names : pair of str, optional
+        What messages call x0 and u0.
 
     Returns
     -------
@@ -147,7 +189,8 @@ def as_system(
     TypeError
         The object has no dynamics.
     ValueError
-        A needed x0 or u0 is missing, or dt contradicts the system's own.
+        A needed x0 or u0 is missing, dt contradicts the system's own, or a function changes
+        its arguments, or has a memory.
 
     Notes
     -----
@@ -168,10 +211,10 @@ def as_system(
     elif hasattr(system, "nstates") and hasattr(system, "ninputs"):
         result = _from_control(system)
     elif callable(system):
-        return _from_function(system, x0, u0, dt)
+        return _from_function(system, x0, u0, dt, names)
     else:
         raise TypeError(
-            "system must be a library model, a function f(x, u) or f(x), a"
+            "system must be a library model, a function f(x), f(x, u) or f(x, u, t), a"
             f" control.NonlinearIOSystem or a control.StateSpace; got {type(system).__name__}"
         )
     if dt is not None and (dt != result.dt or (dt is True) != (result.dt is True)):
@@ -205,7 +248,7 @@ def _from_control(sys: Any) -> System:
     elif isinstance(sys, control.NonlinearIOSystem) and sys.nstates is not None:
 
         def rate(x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
-            return sys.dynamics(t, x, u)
+            return np.array(sys.dynamics(t, x, u))  # it may be a buffer
     else:
         raise TypeError(
             f"system must be in state space, got {type(sys).__name__};"
@@ -220,39 +263,55 @@ def _from_control(sys: Any) -> System:
         name=sys.name,
         source=sys,
         batched=isinstance(sys, control.StateSpace),
+        timed=not isinstance(sys, control.StateSpace),
     )
 
 
-def _from_function(f: Callable[..., Any], x0: Any, u0: Any, dt: float | bool | None) -> System:
+def _from_function(
+    f: Callable[..., Any], x0: Any, u0: Any, dt: float | bool | None, names: tuple[str, str]
+) -> System:
+    state_name, input_name = names
     if x0 is None:
-        raise ValueError("x0 is required for a plain function: its length tells the state's")
-    x0 = _validate.array("x0", x0)
+        raise ValueError(f"{state_name} is required for a function: its length tells the state's")
+    x0 = _validate.array(state_name, x0)
     if x0.ndim not in (1, 2):
-        raise ValueError(f"x0 must have shape (n,) or (n, N), got {x0.shape}")
+        raise ValueError(f"{state_name} must have shape (n,) or (n, N), got {x0.shape}")
     if dt is not None and dt is not True and (_validate.number("dt", dt) < 0):
         raise ValueError(f"dt must be None, True or at least 0, got {dt}")
-    given = u0 is not None and np.size(u0) > 0
-    u0 = _validate.array("u0", u0) if given else np.zeros(0)
-    if u0.ndim not in (1, 2):
-        raise ValueError(f"u0 must have shape (m,) or (m, N), got {u0.shape}")
     required, accepted = arguments_of(f)
-    if given and accepted < 2:
-        raise ValueError("u0 was given, but the function takes x alone: write it f(x, u)")
-    if required == 2 and not given:
-        raise ValueError("u0 is required for a function f(x, u): its length tells the input's")
+    driven = required >= 2 or (u0 is not None and np.size(u0) > 0)
+    if driven and accepted < 2:
+        raise ValueError(
+            f"{input_name} was given, but the function takes x alone: write it f(x, u)"
+        )
+    timed = driven and accepted == 3
 
-    # Copies: a function that works in place must not change the caller's arrays.
-    def rate(x: np.ndarray, u: np.ndarray, t: float) -> Any:
-        return f(x.copy(), u.copy()) if given else f(x.copy())
+    def call(x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
+        return _copied(f(x, u, t) if timed else f(x, u) if driven else f(x))
 
-    state, drive = (a if a.ndim == 1 else a[:, 0] for a in (x0, u0))
-    require_pure(f, (state, drive) if given else (state,))
-    number = max(state.size, drive.size) + 2
-    beside = spread_beside(state, number), spread_beside(drive, number)
+    def rate(x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
+        return call(x.copy(), u.copy(), t)  # f must not change the caller's arrays
 
-    def at_start(x: np.ndarray, u: np.ndarray) -> Any:
+    state = x0 if x0.ndim == 1 else x0[:, 0]
+    if u0 is None and driven:
+        m = number_of_inputs(lambda u: rate(state, u, 0.0), state.size)
+        if m is None:
+            raise ValueError(
+                f"{input_name} is required for this function f(x, u): its length tells the"
+                f" input's; write {input_name}=np.zeros(m)"
+            )
+        u0 = np.zeros(m)
+    u0 = _validate.array(input_name, u0) if u0 is not None else np.zeros(0)
+    if u0.ndim not in (1, 2):
+        raise ValueError(f"{input_name} must have shape (m,) or (m, N), got {u0.shape}")
+    drive = u0 if u0.ndim == 1 else u0[:, 0]
+
+    def at_start(x: np.ndarray, u: np.ndarray) -> np.ndarray:
         return rate(x, u, 0.0)
 
+    require_pure(lambda x, u: call(x, u, 0.0), (state, drive))
+    number = next(N for N in (3, 4, 5) if N not in (state.size, drive.size))
+    beside = spread_beside(state, number), spread_beside(drive, number)
     return System(
         rate=rate,
         states=tuple(f"x[{i}]" for i in range(state.size)),
@@ -261,4 +320,67 @@ def _from_function(f: Callable[..., Any], x0: Any, u0: Any, dt: float | bool | N
         name=getattr(f, "__name__", type(f).__name__).replace("<lambda>", "function"),
         source=f,
         batched=takes_batches(at_start, *beside, alone=at_start, rtol=1e-12),
+        timed=timed,
     )
+
+
+def _copied(value: Any) -> np.ndarray:
+    """Return what a function returned, which may be its buffer, as another array."""
+    try:
+        return np.array(value)
+    except ValueError as error:
+        rows = [np.shape(row) for row in value]
+        odd = next(i for i, shape in enumerate(rows) if shape != rows[0] or shape)
+        raise TypeError(
+            "a system's function must return one number for each state, got rows of the shapes"
+            f" {', '.join(map(str, rows))}; in row {odd} write u[0] instead of u, say ({error})"
+        ) from None
+
+
+def time_of(system: System, x: np.ndarray, u: np.ndarray, t: float | None) -> float:
+    """Return the time at which a system is to be analysed.
+
+    Parameters
+    ----------
+    system : System
+    x, u : array, shape (n,) and (m,)
+    t : float or None [s]
+        None only for a system that does not depend on the time.
+
+    Raises
+    ------
+    TypeError, ValueError
+        t is not a finite number, or is missing.
+    """
+    if t is not None:
+        return _validate.number("t", t)
+    if system.timed and depends_on_time(system.rate, x, u):
+        raise ValueError(
+            f"t is required: {system.name} depends on the time, so that this analysis holds for"
+            " one time only; write t=0.0, say"
+        )
+    return 0.0
+
+
+Output = Callable[[np.ndarray, np.ndarray, float], np.ndarray]
+
+
+def output_map(system: System) -> tuple[tuple[str, ...], Output | None]:
+    """Return the labels of a system's outputs and their function.
+
+    Returns
+    -------
+    labels : tuple of str
+    output : callable or None
+        Maps batches x (n, N), u (m, N) and a time to (p, N). None if the system has no
+        outputs of its own; they are its states then.
+    """
+    sys = system.source
+    if not hasattr(sys, "output_labels"):
+        return system.states, None
+
+    def output(x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
+        columns = [np.array(sys.output(t, *column)) for column in zip(x.T, u.T, strict=True)]
+        return np.stack(columns, axis=1)
+
+    return tuple(sys.output_labels), output
