@@ -136,10 +136,15 @@ def test_bad_arguments(tmp_path):
         (["execute", "a.ipynb"], "--output-dir"),
         (["execute", "--output-dir", "o", "."], "two files are named x.ipynb"),
         (["refresh", "--jobs", "0", "a.ipynb"], "must be at least 1"),
-        (["refresh", "--timeout", "-1", "a.ipynb"], "must be positive"),
     ):
         done = regression(tmp_path, *arguments)
         assert done.returncode == 2 and message in done.stderr
+
+
+def test_a_bad_setting_is_named(tmp_path):
+    nbformat.write(new_notebook(), tmp_path / "a.ipynb")
+    done = regression(tmp_path, "refresh", "--timeout", "-1", "a.ipynb")
+    assert done.returncode == 1 and "timeout must be a number >= 0, got '-1'" in done.stderr
 
 
 def test_write_says_whether_it_changed_the_file(tmp_path):

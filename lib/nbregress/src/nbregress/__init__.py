@@ -21,10 +21,3 @@ def load_ipython_extension(shell: "InteractiveShell") -> None:
     from nbregress.figures import install
 
     install(shell)
-
-
-def unload_ipython_extension(shell: "InteractiveShell") -> None:
-    """Called by ``%unload_ext nbregress``."""
-    from nbregress.figures import uninstall
-
-    uninstall(shell)

@@ -10,20 +10,6 @@ from pathlib import Path
 from typing import Any
 
 
-def _positive(text: str) -> float:
-    value = float(text)
-    if not value > 0:
-        raise argparse.ArgumentTypeError(f"must be positive, got {text}")
-    return value
-
-
-def _jobs(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"must be at least 1, got {text}")
-    return value
-
-
 def _assignment(text: str) -> tuple[str, Any]:
     name, equals, value = text.partition("=")
     if not equals or not name.isidentifier():
@@ -40,53 +26,34 @@ def _parser() -> argparse.ArgumentParser:
     )
     commands = parser.add_subparsers(dest="command", required=True)
     settings = argparse.ArgumentParser(add_help=False)
-    settings.add_argument("--rtol", type=float, metavar="X", help="relative tolerance")
-    settings.add_argument("--atol", type=float, metavar="X", help="absolute tolerance")
-    settings.add_argument(
-        "--sanitize-with", metavar="FILE", help="nbval's sanitizing patterns for texts"
-    )
+    for name, metavar, text in (
+        ("rtol", "X", "relative tolerance (default: 1e-5)"),
+        ("atol", "X", "absolute tolerance (default: 0)"),
+        ("sanitize-with", "FILE", "nbval's sanitizing patterns for texts"),
+    ):
+        settings.add_argument(f"--{name}", metavar=metavar, help=text)
     common = argparse.ArgumentParser(add_help=False, parents=[settings])
     common.add_argument(
         "files", nargs="+", metavar="FILE", help="an .ipynb file, a folder, or a pattern"
     )
-    common.add_argument(
-        "--jobs",
-        type=_jobs,
-        default=os.cpu_count() or 1,
-        metavar="N",
-        help="notebooks to run at a time (default: the number of processors)",
-    )
-    common.add_argument(
-        "--timeout", type=_positive, metavar="S", help="longest time for one cell (default: 300 s)"
-    )
+    jobs = "notebooks to run at a time (default: the number of processors)"
+    common.add_argument("--jobs", type=int, default=os.cpu_count() or 1, metavar="N", help=jobs)
+    common.add_argument("--timeout", metavar="S", help="longest time for one cell (default: 300 s)")
     common.add_argument("--kernel", metavar="NAME", help="kernel to use (default: this Python)")
-    common.add_argument(
-        "--parameter",
-        "-p",
-        dest="parameters",
-        type=_assignment,
-        action="append",
-        metavar="NAME=VALUE",
-        help="assign this after the cell tagged 'parameters'",
-    )
-    execute = commands.add_parser(
-        "execute", parents=[common], help="write executed copies, leave the originals alone"
-    )
+    parameter: dict[str, Any] = {"type": _assignment, "action": "append", "dest": "parameters"}
+    text = "assign this after the cell tagged 'parameters'"
+    common.add_argument("--parameter", "-p", metavar="NAME=VALUE", help=text, **parameter)
+    text = "write executed copies, leave the originals alone"
+    execute = commands.add_parser("execute", parents=[common], help=text)
     execute.add_argument("--output-dir", type=Path, required=True, metavar="DIR")
-    refresh = commands.add_parser(
-        "refresh", parents=[common], help="execute in place; outputs that agree stay as they are"
-    )
-    refresh.add_argument(
-        "--all",
-        action="store_true",
-        help="replace every output, as after a change of style that leaves the data alone",
-    )
-    refresh.add_argument(
-        "--check", action="store_true", help="write nothing; fail where something would change"
-    )
-    diff = commands.add_parser(
-        "diff", parents=[settings], help="compare the stored outputs of two notebooks"
-    )
+    text = "execute in place; outputs that agree stay as they are"
+    refresh = commands.add_parser("refresh", parents=[common], help=text)
+    text = "replace every output, as after a change of style that leaves the data alone"
+    refresh.add_argument("--all", action="store_true", help=text)
+    text = "write nothing; fail where something would change"
+    refresh.add_argument("--check", action="store_true", help=text)
+    text = "compare the stored outputs of two notebooks"
+    diff = commands.add_parser("diff", parents=[settings], help=text)
     diff.add_argument("old", type=Path, metavar="A")
     diff.add_argument("new", type=Path, metavar="B")
     diff.add_argument("--report", type=Path, metavar="FILE", help="an HTML page with both")
@@ -128,6 +95,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     }
     if options.command == "diff":
         return diff(options.old, options.new, given, options.report)
+    if options.jobs < 1:
+        parser.error(f"--jobs must be at least 1, got {options.jobs}")
     given["parameters"] = dict(options.parameters) if options.parameters else None
     paths, unknown = find_notebooks(options.files)
     for name in unknown:
@@ -139,12 +108,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         options.output_dir.mkdir(parents=True, exist_ok=True)
     stale: list[Path] = []
 
-    def copy(path: Path, stored: Any, nb: Any, settings: Any) -> str:
-        write(nb, options.output_dir / path.name)
+    def copy(path: Path, run: Any) -> str:
+        write(run.executed, options.output_dir / path.name)
         return "executed"
 
-    def replace(path: Path, stored: Any, nb: Any, settings: Any) -> str:
-        changed, kept = (["all"], []) if options.all else keep_agreeing(stored, nb, settings)
+    def replace(path: Path, run: Any) -> str:
+        nb = run.executed
+        changed, kept = ["all"], list[str]()
+        if not options.all:
+            changed, kept = keep_agreeing(run.stored, nb, run.settings)
         names = ", ".join(changed)
         if options.check:
             stale.extend([path] if changed else [])

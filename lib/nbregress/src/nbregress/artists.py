@@ -206,24 +206,15 @@ def _corners(parts: Any) -> dict[str, str]:
         rows = [np.reshape(np.ma.filled(np.ma.asarray(p, float), np.nan), (-1, 3)) for p in parts]
         points = np.concatenate([np.empty((0, 3)), *rows])
     points = points[np.isfinite(points).all(axis=1)]
-    span = np.ptp(points, axis=0).max(initial=0.0) or 1.0
+    if not len(points):
+        return {}
+    span = np.ptp(points, axis=0).max() or 1.0
     _, first = np.unique(np.round(points / span, 7), axis=0, return_index=True)
     points = points[first]
-    data = {}
-    centre = points.mean(axis=0) if len(points) else np.zeros(3)
-    for k, name in enumerate("xyz"):
-        p, other = points[:, k], points[:, (k + 1) % 3]
-        q = p - centre[k]
-        moments = [
-            p.min(initial=math.inf) if len(p) else 0.0,
-            p.max(initial=-math.inf) if len(p) else 0.0,
-            centre[k],
-            np.cbrt((q**3).mean()) if len(p) else 0.0,
-            (q * (other - centre[(k + 1) % 3])).mean() / span if len(p) else 0.0,
-            math.sqrt((q**2).mean()) if len(p) else 0.0,
-        ]
-        data[name] = summarize(moments)
-    return data
+    q = points - points.mean(axis=0)
+    skew, mixed = np.cbrt((q**3).mean(axis=0)), (q * np.roll(q, 1, axis=1)).mean(axis=0) / span
+    rows = [points.min(axis=0), points.max(axis=0), points.mean(axis=0), q.std(axis=0), skew, mixed]
+    return {name: summarize([row[k] for row in rows]) for k, name in enumerate("xyz")}
 
 
 def _contours(artist: Any) -> dict[str, str]:

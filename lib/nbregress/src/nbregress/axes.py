@@ -9,18 +9,10 @@ from nbregress.summary import summarize
 # What a chosen format makes of these is compared, wherever the ticks may be.
 _PROBES = (0.0, 0.25, 1.0, 1234.5)
 _AUTOMATIC = (
-    "ScalarFormatter",
-    "LogFormatter",
-    "LogFormatterMathtext",
-    "LogFormatterSciNotation",
-    "AutoDateFormatter",
-    "ConciseDateFormatter",
-    "NullFormatter",
-    "ThetaFormatter",
-    "RadialFormatter",
-    "LogitFormatter",
-    "LogFormatterExponent",
-)
+    "ScalarFormatter LogFormatter LogFormatterMathtext LogFormatterSciNotation LogitFormatter "
+    "LogFormatterExponent AutoDateFormatter ConciseDateFormatter NullFormatter ThetaFormatter "
+    "RadialFormatter"
+).split()
 
 
 def axes_digest(ax: Any) -> dict[str, Any]:

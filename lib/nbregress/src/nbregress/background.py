@@ -3,6 +3,7 @@
 import asyncio
 import copy
 import threading
+import time
 from collections.abc import Sequence
 from concurrent.futures import Future
 from pathlib import Path
@@ -18,7 +19,7 @@ class NotebookRun:
     Parameters
     ----------
     nb : nbformat.NotebookNode
-        As it is stored; `executed` is a copy.
+        As it is stored, and stays; `executed` is a copy.
     folder : pathlib.Path
     settings : Settings
     until : int or None
@@ -36,7 +37,8 @@ class NotebookRun:
         prepare: Sequence[str] = (),
         finish: Sequence[str] = (),
     ) -> None:
-        self.executed = copy.deepcopy(nb)
+        self.stored, self.executed = nb, copy.deepcopy(nb)
+        self.seconds = 0.0
         self.folder, self.settings, self.until = folder, settings, until
         self.prepare, self.finish = prepare, finish
         self.done: Future[None] = Future()
@@ -83,6 +85,7 @@ class NotebookRun:
                 except asyncio.CancelledError:
                     await session.close()
                     raise
+                start = time.monotonic()
                 try:
                     await execute(
                         session,
@@ -91,6 +94,7 @@ class NotebookRun:
                         finish=self.finish,
                     )
                 finally:
+                    self.seconds = time.monotonic() - start
                     slot.release()
         except asyncio.CancelledError:
             raise

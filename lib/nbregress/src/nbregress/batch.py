@@ -1,15 +1,13 @@
 """Several notebooks executed, each in its own kernel, and what became of each."""
 
-import asyncio
-import copy
 import sys
-import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from nbregress.session import CellRun, NotebookError, Session, cell_options, execute
-from nbregress.settings import Settings, SettingsError, load_settings
+from nbregress.background import Background, NotebookRun
+from nbregress.session import NotebookError, cell_options
+from nbregress.settings import SettingsError, load_settings
 from nbregress.store import normalize, read
 
 
@@ -52,7 +50,7 @@ def _inside(path: Path) -> list[Path]:
 
 def run_all(
     paths: Sequence[Path],
-    finish: Callable[[Path, Any, Any, Settings], str],
+    finish: Callable[[Path, NotebookRun], str],
     *,
     jobs: int,
     given: Mapping[str, Any],
@@ -66,8 +64,7 @@ def run_all(
     ----------
     paths : sequence of pathlib.Path
     finish : callable
-        ``finish(path, stored, executed, settings)`` stores the result and says in a few
-        words what it did.
+        ``finish(path, run)`` stores the result and says in a few words what it did.
     jobs : int >= 1
         How many notebooks run at a time.
     given : mapping
@@ -78,58 +75,50 @@ def run_all(
     failed : list of pathlib.Path
     """
     failed: list[Path] = []
-    done = 0
-
-    async def one(path: Path, ahead: asyncio.Semaphore, slot: asyncio.Semaphore) -> None:
-        nonlocal done
-        async with ahead:
-            seconds = 0.0
+    background = Background(jobs)
+    queued: list[tuple[Path, NotebookRun | str]] = []
+    for path in paths:
+        try:
+            settings = load_settings(path, given)
+            stored = read(path)
+            for cell in stored.cells:
+                settings.with_tags(cell)
+            queued.append((path, NotebookRun(stored, path.resolve().parent, settings)))
+        except (NotebookError, SettingsError) as error:
+            queued.append((path, str(error)))
+    try:
+        for _, run in queued:
+            if isinstance(run, NotebookRun):
+                background.submit(run)
+        for number, (path, run) in enumerate(queued, start=1):
             try:
-                settings = load_settings(path, given)
-                stored = read(path)
-                for cell in stored.cells:
-                    settings.with_tags(cell)
-                nb = copy.deepcopy(stored)
-                session = Session(nb, path.resolve().parent, settings)
-                await session.start()
-                async with slot:
-                    start = time.monotonic()
-                    try:
-                        await _execute(session)
-                    finally:
-                        seconds = time.monotonic() - start
-                normalize(nb)
-                outcome = finish(path, stored, nb, settings)
-            except (NotebookError, SettingsError) as error:
+                if isinstance(run, str):
+                    raise NotebookError(run)
+                _check(run)
+                normalize(run.executed)
+                outcome = f"{run.seconds:.1f} s: {finish(path, run)}"
+            except Exception as error:  # this notebook's alone in any case
                 failed.append(path)
-                outcome = f"FAILED {error}"
-            except Exception as error:  # a fault of ours: this notebook's alone in any case
-                failed.append(path)
-                outcome = f"FAILED {type(error).__name__}: {error}"
-            done += 1
-            print(f"[{done}/{len(paths)}] {path} {seconds:.1f} s: {outcome}", file=sys.stderr)
-
-    async def every() -> None:
-        ahead, slot = asyncio.Semaphore(jobs + 1), asyncio.Semaphore(jobs)
-        await asyncio.gather(*(one(path, ahead, slot) for path in paths))
-
-    asyncio.run(every())
+                kind = "" if isinstance(error, NotebookError) else f"{type(error).__name__}: "
+                outcome = f"FAILED {kind}{error}"
+            print(f"[{number}/{len(paths)}] {path} {outcome}", file=sys.stderr, flush=True)
+    finally:
+        background.close()
     return failed
 
 
-async def _execute(session: Session) -> None:
-    """Execute all cells; the first that fails untagged, or does not though tagged, counts."""
-    problems = []
-
-    def check(run: CellRun) -> None:
-        cell = session.nb.cells[run.index]
-        expected = cell_options(cell).get("check_exception", False)
-        place = f"In [{cell.execution_count}] (cell {run.index + 1} of {len(session.nb.cells)})"
-        if run.error is not None and not expected:
-            problems.append(f"{place}: {run.error}")
-        elif run.error is None and expected and cell.source.strip():
-            problems.append(f"{place}: tagged raises-exception, but nothing was raised")
-        if problems:
-            raise NotebookError(problems[0])
-
-    await execute(session, on_cell=check)
+def _check(run: NotebookRun) -> None:
+    """Wait for all cells; the first that fails untagged, or does not though tagged, counts."""
+    nb = run.executed
+    for index in run.cells:
+        cell = nb.cells[index]
+        options = cell_options(cell)
+        if options.get("skip") or not cell.source.strip():
+            continue
+        error = run.cell(index).error
+        place = f"In [{cell.execution_count}] (cell {index + 1} of {len(nb.cells)})"
+        if error is not None and not options.get("check_exception"):
+            raise NotebookError(f"{place}: {error}")
+        if error is None and options.get("check_exception"):
+            raise NotebookError(f"{place}: tagged raises-exception, but nothing was raised")
+    run.done.result()

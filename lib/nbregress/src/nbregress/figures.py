@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from nbregress.artists import artists_digest
 from nbregress.axes import axes_digest, legend_digest
-from nbregress.frames import attach_frames, watch_animations
+from nbregress.frames import watch_animations
 from nbregress.mime import FIGURE_TYPE
 from nbregress.values import KNOWN, data_bundle
 
@@ -36,23 +36,6 @@ def install(shell: "InteractiveShell") -> None:
     for kind in (list, tuple, dict):
         formatter.for_type(kind, data_bundle)
     watch_animations(shell, formatter, digest)
-
-
-def uninstall(shell: "InteractiveShell") -> None:
-    """Undo `install`.
-
-    Parameters
-    ----------
-    shell : IPython.core.interactiveshell.InteractiveShell
-    """
-    formatter = getattr(shell.display_formatter, "mimebundle_formatter", None)
-    if formatter is not None:
-        formatter.pop("matplotlib.figure.Figure", None)
-        for module, name in KNOWN:
-            formatter.pop(f"{module}.{name}", None)
-        for kind in (list, tuple, dict):
-            formatter.pop(kind, None)
-    attach_frames(shell, None)
 
 
 def figure_bundle(figure: Any, **_: Any) -> dict[str, Any]:

@@ -22,21 +22,6 @@ def watch_animations(shell: Any, formatter: Any, digest: Callable[[Any], dict[st
         Digest of a figure.
     """
     _digest[:] = [digest]
-    attach_frames(shell, formatter)
-
-
-def attach_frames(shell: Any, formatter: Any) -> None:
-    """Begin to watch for films; end it where the formatter is None.
-
-    Parameters
-    ----------
-    shell : IPython.core.interactiveshell.InteractiveShell
-    formatter : IPython.core.formatters.MimeBundleFormatter or None
-    """
-    if formatter is None:
-        shell.display_formatter.mimebundle_formatter.pop("IPython.core.display.HTML", None)
-        _digest.clear()
-        return
     formatter.for_type_by_name("IPython.core.display", "HTML", _film_bundle)
     formatter.for_type_by_name("matplotlib.animation", "Animation", _animation_bundle)
     if _prepare not in shell.events.callbacks["pre_run_cell"]:
@@ -61,8 +46,7 @@ def _prepare(info: Any = None) -> None:
         grab = self.grab_frame
 
         def grab_frame(**options: Any) -> None:
-            if _digest:
-                film.append(_digest[0](fig))
+            film.append(_digest[0](fig))
             grab(**options)
 
         self.grab_frame = grab_frame

@@ -100,7 +100,7 @@ def _parameters(patch: Any) -> tuple[str, Any]:
         x, y = patch.center
         return "wedges", [x, y, patch.r, patch.theta1, patch.theta2, width]
     if isinstance(patch, Ellipse) and type(patch).__name__ in ("Ellipse", "Circle"):
-        x, y = patch.get_center()
+        x, y = np.ravel(patch.get_center())
         return "ellipses", [x, y, patch.width, patch.height, patch.angle]
     if isinstance(patch, FancyArrowPatch):
         ends = getattr(patch, "_posA_posB", None)

@@ -10,49 +10,26 @@ from typing import Any
 
 import pytest
 
-# nbval's own limit of 2000 s for a cell outlasts any patience, and most CI jobs.
-_TIMEOUT = "300"
-
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the options of ``--nb`` and the ini settings."""
     group = parser.getgroup("nbregress", "numbers and figures in notebooks")
-    group.addoption(
-        "--nb",
-        action="store_true",
-        help="test notebooks: execute them, compare with what is stored",
-    )
-    group.addoption(
-        "--nb-update",
-        action="store_true",
-        help="accept what the cells show now, in place (with -k: the selected cells')",
-    )
-    group.addoption(
-        "--nb-report", metavar="FILE", help="HTML report: stored and new outputs side by side"
-    )
-    group.addoption(
-        "--jobs",
-        dest="nb_jobs",
-        type=int,
-        default=1,
-        metavar="N",
-        help="notebooks to run at a time",
-    )
-    group.addoption(
-        "--nb-timeout", metavar="S", help=f"longest time for one cell (default {_TIMEOUT} s)"
-    )
-    group.addoption(
-        "--nb-compare",
-        action="append",
-        metavar="NAME",
-        help="compare what this noise pattern matches (see the README for their names)",
-    )
-    for name, text in (
-        ("rtol", "relative tolerance of numbers and figure data (default 1e-5)"),
-        ("atol", "absolute tolerance of numbers and figure data (default 0)"),
+    update = "accept what the cells show now, in place (with -k: the selected cells')"
+    group.addoption("--nb", action="store_true", help="execute notebooks and compare them")
+    group.addoption("--nb-update", action="store_true", help=update)
+    number: dict[str, Any] = {"dest": "nb_jobs", "type": int, "default": 1, "metavar": "N"}
+    group.addoption("--jobs", help="notebooks to run at a time", **number)
+    for name, metavar, text in (
+        ("nb-report", "FILE", "HTML report: stored and new outputs side by side"),
+        ("nb-timeout", "S", "longest time for one cell (default 300 s)"),
+        ("regression-rtol", "X", "relative tolerance of numbers and figures (default 1e-5)"),
+        ("regression-atol", "X", "absolute tolerance of numbers and figures (default 0)"),
     ):
-        group.addoption(f"--regression-{name}", metavar="X", help=text)
-        parser.addini(f"regression_{name}", text, default="")
+        group.addoption(f"--{name}", metavar=metavar, help=text)
+        if name.startswith("regression"):
+            parser.addini(name.replace("-", "_"), text, default="")
+    text = "compare what this noise pattern matches (the README has their names)"
+    group.addoption("--nb-compare", action="append", metavar="NAME", help=text)
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -138,7 +138,7 @@ def load_settings(
     for name in ("rtol", "atol", "timeout"):
         if name in values:
             values[name] = _tolerance(name, values[name])
-    if values.get("timeout") == 0.0:
+    if not values.get("timeout", 1.0):
         raise SettingsError("timeout must be positive, got 0")
     values["env"] = {str(k): str(v) for k, v in values.get("env", {}).items()}
     values["compare"] = tuple(values.get("compare", ()))

@@ -37,35 +37,19 @@ def diff(old: Path, new: Path, given: Mapping[str, Any], report: Path | None = N
             a=[c.source for c in before], b=[c.source for c in after], autojunk=False
         )
         found: list[dict[str, Any]] = []
-        for kind, start, end, first, last in matcher.get_opcodes():
-            pairs = list(zip(before[start:end], after[first:last], strict=False))
-            for k, (a, b) in enumerate(pairs):
-                comparison = Comparison(settings.with_tags(b))
-                messages = outputs_differences(a.outputs, b.outputs, comparison)
-                found.append(
-                    {
-                        "notebook": str(new),
-                        "cell": f"Cell {first + k}",
-                        "source": b.source,
-                        "messages": messages,
-                        "outputs": [a.outputs, b.outputs],
-                    }
-                )
-            for what, count in (
-                ("only in the old", end - start - len(pairs)),
-                ("only in the new", last - first - len(pairs)),
-            ):
-                if kind != "equal" and count > 0:
-                    message = f"{count} cells from here on are {what} notebook"
-                    found.append(
-                        {
-                            "notebook": str(new),
-                            "cell": f"Cell {first + len(pairs)}",
-                            "source": "",
-                            "messages": [message],
-                            "outputs": [[], []],
-                        }
-                    )
+        for _, start, end, first, last in matcher.get_opcodes():
+            for k in range(max(end - start, last - first)):
+                a = before[start + k] if start + k < end else None
+                b = after[first + k] if first + k < last else None
+                if a is None or b is None:
+                    messages = [f"is only in the {'old' if b is None else 'new'} notebook"]
+                else:
+                    comparison = Comparison(settings.with_tags(b))
+                    messages = outputs_differences(a.outputs, b.outputs, comparison)
+                shown = {"messages": messages, "source": (b or a or before[0]).source}
+                outputs = [cell.outputs if cell else [] for cell in (a, b)]
+                place = {"notebook": str(new), "cell": f"Cell {first + k if b else start + k}"}
+                found.append({**place, **shown, "outputs": outputs})
     except (NotebookError, SettingsError) as error:
         print(f"{old}, {new}: {error}", file=sys.stderr)
         return 2

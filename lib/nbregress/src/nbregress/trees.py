@@ -1,12 +1,13 @@
 """JSON compared: figures' digests, and what plotly, Vega, Bokeh and widgets draw from."""
 
 import base64
-import binascii
+import gzip
 import json
 import re
-import struct
 from collections.abc import Iterator
 from typing import Any
+
+import numpy as np
 
 from nbregress.comparison import Comparison
 from nbregress.summary import difference
@@ -18,10 +19,6 @@ _RANDOM = re.compile(
     r"[0-9a-f]{8}-(?:[0-9a-f]{4}-){3}[0-9a-f]{12}|\b(?:[\w-]*-)?[0-9a-f]{32}\b|^p\d{4,}$"
     r"|^altair-viz-\w+$|^(?:view|param|selector|layer|concat)_?\d+$"
 )
-_KINDS = {"f4": "f", "f8": "d", "i1": "b", "i2": "h", "i4": "i", "i8": "q"}
-_KINDS |= {"u1": "B", "u2": "H", "u4": "I", "u8": "Q"}
-_KINDS |= {"float32": "f", "float64": "d", "int8": "b", "int16": "h", "int32": "i", "int64": "q"}
-_KINDS |= {"uint8": "B", "uint16": "H", "uint32": "I", "uint64": "Q"}
 _SUMMARIES = ("limits", "data", "tick places")
 _SHOWN = 5
 
@@ -200,20 +197,16 @@ def _decoded(value: dict[str, Any]) -> dict[str, Any] | None:
     encoded = value.get("bdata", value.get("array", value.get("__ndarray__")))
     if isinstance(encoded, dict):
         encoded = encoded.get("data")
-    kind = _KINDS.get(str(value.get("dtype")))
-    if not isinstance(encoded, str) or kind is None:
+    if not isinstance(encoded, str) or "dtype" not in value:
         return None
     try:
         raw = base64.b64decode(encoded)
-        if raw[:2] == b"\x1f\x8b":
-            import gzip
-
-            raw = gzip.decompress(raw)
-        order = ">" if value.get("order") == "big" else "<"
-        numbers = list(struct.unpack(f"{order}{len(raw) // struct.calcsize(kind)}{kind}", raw))
-    except (binascii.Error, struct.error, OSError, EOFError):
+        raw = gzip.decompress(raw) if raw[:2] == b"\x1f\x8b" else raw
+        dtype = np.dtype(str(value["dtype"]))
+        dtype = dtype.newbyteorder(">" if value.get("order") == "big" else "<")
+        return {"shape": value.get("shape"), "values": np.frombuffer(raw, dtype).tolist()}
+    except (ValueError, TypeError, OSError, EOFError):
         return None
-    return {"shape": value.get("shape"), "values": numbers}
 
 
 def _json(name: str, old: Any, new: Any, comparison: Comparison, beside: float) -> Iterator[str]:

@@ -14,18 +14,13 @@ _WHOLE = 100  # numbers that are written out
 _TEXTS = 200  # texts that are
 _MEMBERS, _DEPTH = 50, 3
 #: Types that are known, by module and name, so that nothing is imported for them.
-KNOWN = (
-    ("numpy", "ndarray"),
-    ("pandas.core.frame", "DataFrame"),
-    ("pandas.core.series", "Series"),
-    ("pandas", "DataFrame"),
-    ("pandas", "Series"),
-    ("xarray.core.dataarray", "DataArray"),
-    ("xarray.core.dataset", "Dataset"),
-    ("control.statesp", "StateSpace"),
-    ("control.xferfcn", "TransferFunction"),
-    ("control.frdata", "FrequencyResponseData"),
-)
+KNOWN = [
+    tuple(name.rsplit(".", 1))
+    for name in "numpy.ndarray pandas.core.frame.DataFrame pandas.core.series.Series "
+    "pandas.DataFrame pandas.Series xarray.core.dataarray.DataArray xarray.core.dataset.Dataset "
+    "control.statesp.StateSpace control.xferfcn.TransferFunction "
+    "control.frdata.FrequencyResponseData".split()
+]
 
 
 def data_bundle(value: Any, **_: Any) -> dict[str, Any] | None:
