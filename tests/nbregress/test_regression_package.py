@@ -71,9 +71,9 @@ def entry_points(files):
 
 def test_only_nbregress_brings_a_pytest_plugin(wheels):
     assert entry_points(wheels["statebook"]) == []
-    assert entry_points(wheels["nbregress"]) == [
-        "[console_scripts]\nnbregress = nbregress.__main__:main\n\n[pytest11]\nnbregress = nbregress.plugin\n"
-    ]
+    command = "[console_scripts]\nnbregress = nbregress.__main__:main\n\n"
+    plugin = "[pytest11]\nnbregress = nbregress.plugin\n"
+    assert entry_points(wheels["nbregress"]) == [command + plugin]
 
 
 def test_neither_package_asks_for_the_other(wheels):

@@ -155,8 +155,9 @@ def _collection(artist: Any, view: View) -> dict[str, Any]:
         item["kind"] = "filled contours" if artist.filled else "contours"
         data = {"levels": summarize(artist.levels), **_contours(artist)}
         if getattr(artist, "labelTexts", None):
-            formats = getattr(artist, "labelFmt", "%1.3f")
+            formats = artist.labelFmt
             item["labels"] = [artist.get_text(v, formats) for v in artist.labelLevelList]
+            item["label format"] = formats if isinstance(formats, str) else ""
     elif isinstance(artist, collections.QuadMesh):
         item["kind"] = "mesh"
         data = view.pair(np.reshape(artist.get_coordinates(), (-1, 2)))
