@@ -199,13 +199,11 @@ def _corners(parts: Any) -> dict[str, str]:
     """Corners of solids, whatever the order of their faces, counted once each."""
     import numpy as np
 
-    if hasattr(parts, "shape") and len(np.shape(parts)) == 2 and len(parts) in (3, 4):
-        points = np.ma.filled(np.ma.asarray(parts[:3], float), np.nan).T
-    elif len(parts) == 3 and not any(np.ndim(part) == 2 for part in parts):
-        points = np.stack([np.ma.filled(np.ma.asarray(p, float), np.nan).ravel() for p in parts], 1)
+    filled: list[Any] = [np.ma.filled(np.ma.asarray(part, float), np.nan) for part in parts]
+    if not filled or filled[0].ndim == 1:  # a row for each coordinate
+        points = np.stack(filled[:3], axis=1) if filled else np.empty((0, 3))
     else:
-        rows = [np.reshape(np.ma.filled(np.ma.asarray(p, float), np.nan), (-1, 3)) for p in parts]
-        points = np.concatenate([np.empty((0, 3)), *rows])
+        points = np.concatenate([part.reshape(-1, 3) for part in filled])
     points = points[np.isfinite(points).all(axis=1)]
     if not len(points):
         return {}
@@ -214,8 +212,15 @@ def _corners(parts: Any) -> dict[str, str]:
     points = points[first]
     q = points - points.mean(axis=0)
     skew, mixed = np.cbrt((q**3).mean(axis=0)), (q * np.roll(q, 1, axis=1)).mean(axis=0) / span
-    rows = [points.min(axis=0), points.max(axis=0), points.mean(axis=0), q.std(axis=0), skew, mixed]
-    return {name: summarize([row[k] for row in rows]) for k, name in enumerate("xyz")}
+    parts = [
+        points.min(axis=0),
+        points.max(axis=0),
+        points.mean(axis=0),
+        q.std(axis=0),
+        skew,
+        mixed,
+    ]
+    return {name: summarize([part[k] for part in parts]) for k, name in enumerate("xyz")}
 
 
 def _contours(artist: Any) -> dict[str, str]:

@@ -1,5 +1,6 @@
 """What a comparison needs at every depth: the settings, and which noise it met."""
 
+import re
 from dataclasses import dataclass, field
 
 from nbregress.patterns import strip_noise, strip_today
@@ -41,6 +42,8 @@ class Comparison:
         if stored == new:
             return None
         off = self.settings.compare
+        for regex, replacement in self.settings.sanitize:
+            stored, new = (re.sub(regex, replacement, text) for text in (stored, new))
         stored, new = (strip_noise(text, off, self.noise) for text in (stored, new))
         stored, new = strip_today(stored, new, off, self.noise)
         return text_difference(stored, new, self.settings, beside=beside)

@@ -57,17 +57,13 @@ class NotebookFile(IPyNbFile):
             yield item
 
     def setup(self) -> None:
-        """Queue the notebook, if it has not been before."""
-        self.queue()
-
-    def queue(self) -> None:
         """Execute the notebook in the background, up to the last cell that is asked for."""
         if self.run is not None or self.problem is not None or not hasattr(self, "nb"):
             return
         code = [c for c in self.nb.cells if c.cell_type == "code" and c.source.strip()]
         unrun = code and all(c.execution_count is None and not c.outputs for c in code)
         if unrun and not self.updating:
-            self.problem = f"{_NEVER}; to accept: {self.refresh_command}"
+            self.problem = f"{_NEVER}; {self.how_to_accept}"
             return
         items = [i for i in self.session.items if i.parent is self]
         whole = self.updating or len(items) == sum(c.cell_type == "code" for c in self.nb.cells)
@@ -90,9 +86,9 @@ class NotebookFile(IPyNbFile):
             return str(self.path)
 
     @property
-    def refresh_command(self) -> str:
+    def how_to_accept(self) -> str:
         """The command that accepts what the notebook produces now."""
-        return f"python -m nbregress refresh {self.shown_path}"
+        return f"to accept: python -m nbregress refresh {self.shown_path}"
 
     def teardown(self) -> None:
         """With --nb-update, store the new outputs of the cells that were asked for."""
@@ -181,10 +177,6 @@ class Unreadable(pytest.Item):
         """Fail with the reason."""
         pytest.fail(f"{self.path} is not a readable notebook: it {self.reason}", pytrace=False)
 
-    def reportinfo(self) -> tuple[Path, int, str]:
-        """The place as pytest prints it."""
-        return self.path, 0, f"{self.path.name}::notebook"
-
 
 class NotebookCell(IPyNbCell):
     """A code cell whose outputs are compared by numbers and figure data."""
@@ -239,7 +231,7 @@ class NotebookCell(IPyNbCell):
         if self.parent.updating:
             return
         if self.cell.execution_count is None:
-            self.raise_cell_error(f"the cell {_NEVER}", self._accept())
+            self.raise_cell_error(f"the cell {_NEVER}", self.parent.how_to_accept)
         if not self.options["check"]:
             return
         messages = outputs_differences(self.cell.outputs, new, comparison)
@@ -248,7 +240,9 @@ class NotebookCell(IPyNbCell):
             lines = [line for message in messages for line in message.splitlines()]
             more = len(lines) - _MOST_LINES
             lines = lines[:_MOST_LINES] + ([f"... and {more} more lines"] if more > 0 else [])
-            self.raise_cell_error("Cell outputs differ", "\n".join([*lines, self._accept()]))
+            self.raise_cell_error(
+                "Cell outputs differ", "\n".join([*lines, self.parent.how_to_accept])
+            )
 
     def _details(self, messages: list[str], new: Any) -> dict[str, Any]:
         return {
@@ -278,9 +272,6 @@ class NotebookCell(IPyNbCell):
     def reportinfo(self) -> tuple[Path, int, str]:
         """The place as pytest and CI print it."""
         return self.path, self.index, f"{self.path.name}::{self.name}"
-
-    def _accept(self) -> str:
-        return f"to accept: {self.parent.refresh_command}"
 
 
 def _printed(outputs: Any) -> str:

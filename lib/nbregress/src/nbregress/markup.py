@@ -55,9 +55,6 @@ class _Reader(html.parser.HTMLParser):
         text = " ".join(f'{name}="{value or ""}"' for name, value in sorted(attrs))
         self.pieces.append(_Piece("tag", f"<{tag} {text}>"))
 
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.handle_starttag(tag, attrs)
-
     def handle_endtag(self, tag: str) -> None:
         self.code = ""
         if tag in _INLINE:

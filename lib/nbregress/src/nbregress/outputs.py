@@ -42,7 +42,6 @@ def outputs_differences(stored: list[Any], new: list[Any], comparison: Compariso
     >>> outputs_differences(old, [], Comparison(Settings()))
     ['stdout: stored, but nothing was printed']
     """
-    stored, new = (_sanitized(outputs, comparison) for outputs in (stored, new))
     messages = []
     for name in ("stdout", "stderr"):
         was, now = (as_printed(_stream(outputs, name)) for outputs in (stored, new))
@@ -99,6 +98,9 @@ def _bundle(
     left_out = {WIDGET_VIEW, DATA_TYPE} - (both & {DATA_TYPE})
     if both & set(DIGESTS) or any(map(_CHARTS.match, both)):
         left_out |= {mime for mime in old.keys() | new.keys() if _SHOWN.match(mime)}
+    # Of a figure, the text is its size on paper; what else carries frames may say more.
+    if FIGURE_TYPE in both and not _as_text(new.get("text/plain", "<Figure")).startswith("<Figure"):
+        left_out -= {"text/plain"}
     was, now = old.keys() - left_out, new.keys() - left_out
     messages = []
     if was - now:
@@ -171,31 +173,6 @@ def _errors(old: list[Any], new: list[Any], comparison: Comparison) -> list[str]
 def _text(name: str, old: str, new: str, comparison: Comparison) -> list[str]:
     message = comparison.text(old, new)
     return [f"{name}, {message}"] if message else []
-
-
-def _sanitized(outputs: list[Any], comparison: Comparison) -> list[Any]:
-    """Outputs without what the user's own patterns match."""
-    patterns = comparison.settings.sanitize
-    if not patterns:
-        return outputs
-
-    def clean(value: Any) -> Any:
-        if isinstance(value, str):
-            for regex, new in patterns:
-                value = re.sub(regex, new, value)
-            return value
-        return [clean(v) for v in value] if isinstance(value, list) else value
-
-    kept = []
-    for output in outputs:
-        output = {k: clean(v) if k in ("text", "evalue") else v for k, v in output.items()}
-        if "data" in output:
-            output["data"] = {
-                mime: clean(v) if mime.startswith("text/") else v
-                for mime, v in output["data"].items()
-            }
-        kept.append(output)
-    return kept
 
 
 def _stream(outputs: list[Any], name: str) -> str:

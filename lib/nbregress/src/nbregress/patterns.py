@@ -165,10 +165,7 @@ def as_printed(text: str) -> str:
     lines = []
     for line in text.replace("\r\n", "\n").split("\n"):
         while "\b" in line:
-            shorter = re.sub(r"[^\b]\x08|^\x08+", "", line)
-            if shorter == line:
-                break
-            line = shorter
+            line = re.sub(r"[^\b]\x08|^\x08+", "", line)
         parts = [part for part in line.split("\r") if part.strip()] or [""]
         shown = parts[0]
         for part in parts[1:]:

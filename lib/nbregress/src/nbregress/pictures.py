@@ -35,7 +35,7 @@ def pictures_difference(stored: str, new: str) -> str | None:
     try:
         with Image.open(io.BytesIO(a)) as first, Image.open(io.BytesIO(b)) as second:
             if first.size != second.size:
-                return f"{_size(second.size)} pixels, stored {_size(first.size)}"
+                return "{} x {} pixels, stored {} x {}".format(*second.size, *first.size)
             frames = [getattr(picture, "n_frames", 1) for picture in (first, second)]
             if frames[0] != frames[1]:
                 return f"{frames[1]} frames, stored {frames[0]}"
@@ -63,7 +63,3 @@ def _file(encoded: str) -> bytes | None:
         return base64.b64decode("".join(encoded.split()).replace("\\n", ""), validate=True)
     except (binascii.Error, ValueError):
         return None
-
-
-def _size(size: tuple[int, int]) -> str:
-    return f"{size[0]} x {size[1]}"

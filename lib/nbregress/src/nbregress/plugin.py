@@ -66,25 +66,24 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> Generator[
     if file_path.suffix == ".ipynb" and _active(parent.config):
         from nbregress.items import NotebookFile
 
-        others = [c for c in collectors if type(c).__module__ != "nbval.plugin"]
-        if ".ipynb_checkpoints" in file_path.parts:
-            return others
-        return [*others, NotebookFile.from_parent(parent, path=file_path)]
+        collectors = [c for c in collectors if type(c).__module__ != "nbval.plugin"]
+        if ".ipynb_checkpoints" not in file_path.parts:
+            collectors.append(NotebookFile.from_parent(parent, path=file_path))
     return collectors
 
 
 def pytest_runtestloop(session: pytest.Session) -> None:
     """Queue the notebooks in the order of their tests, before the first test waits."""
     # A worker of pytest-xdist is told only later which of the tests are its own.
-    if not _active(session.config) or hasattr(session.config, "workerinput"):
-        return
-    if session.config.option.collectonly or getattr(session.config.option, "dist", "no") != "no":
+    option = session.config.option
+    alone = getattr(option, "dist", "no") == "no" and not hasattr(session.config, "workerinput")
+    if not alone or option.collectonly or not _active(session.config):
         return
     from nbregress.items import NotebookFile
 
     for notebook in dict.fromkeys(item.parent for item in session.items):
         if isinstance(notebook, NotebookFile):
-            notebook.queue()
+            notebook.setup()
 
 
 @pytest.hookimpl(wrapper=True)

@@ -6,18 +6,13 @@ from pathlib import Path
 from typing import Any
 
 _PAGE = """<!DOCTYPE html>
-<html lang="en"><head><meta charset="utf-8"><title>Notebooks: {title}</title>
-<style>
+<html lang="en"><head><meta charset="utf-8"><title>Notebooks: {title}</title><style>
 body {{ font-family: system-ui, sans-serif; margin: 2em auto; max-width: 90em; padding: 0 1em }}
 pre {{ overflow: auto; background: #f6f6f6; padding: .6em; max-height: 30em }}
-.pair {{ display: grid; grid-template-columns: 1fr 1fr; gap: 1em }}
-.messages {{ background: #fff0f0; border-left: .3em solid #c00 }}
-img, svg {{ max-width: 100% }} iframe {{ width: 100%; height: 24em; border: 1px solid #ddd }}
-@media (max-width: 45em) {{ .pair {{ grid-template-columns: 1fr }} }}
-</style></head><body><h1>{title}</h1><p>{noise}</p>
-<ol>{index}</ol>
-{cells}
-</body></html>
+.pair {{ display: grid; grid-template-columns: repeat(auto-fit, minmax(20em, 1fr)); gap: 1em }}
+.messages {{ background: #fff0f0; border-left: .3em solid #c00 }} img, svg {{ max-width: 100% }}
+iframe {{ width: 100%; height: 24em; border: 1px solid #ddd }}
+</style></head><body><h1>{title}</h1><p>{noise}</p><ol>{index}</ol>{cells}</body></html>
 """
 _CELL = """<section id="c{number}"><h2>{notebook}, {cell}</h2>
 <details><summary>Source</summary><pre>{source}</pre></details>

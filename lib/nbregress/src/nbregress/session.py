@@ -27,18 +27,15 @@ _DROPPED = re.compile(r"MPLBACKEND|PYTEST_|COV_CORE_|LANGUAGE$|FORCE_COLOR$|NO_C
 # Loads this package into the kernel, from where the runner has it; the history is what tells
 # IPython of a semicolon, and need not end in the user's file.
 _LOAD = """\
-def _load():
-    import importlib.util, sys
-    if "nbregress" not in sys.modules:
-        spec = importlib.util.spec_from_file_location(
-            "nbregress", {file!r}, submodule_search_locations=[{folder!r}])
-        sys.modules["nbregress"] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules["nbregress"])
-    shell = get_ipython()
-    shell.history_manager.enabled = False
-    sys.modules["nbregress"].load_ipython_extension(shell)
-_load()
-del _load
+import importlib.util as _util, sys as _sys
+if "nbregress" not in _sys.modules:
+    _spec = _util.spec_from_file_location("nbregress", {!r}, submodule_search_locations=[{!r}])
+    _sys.modules["nbregress"] = _util.module_from_spec(_spec)
+    _spec.loader.exec_module(_sys.modules["nbregress"])
+    del _spec
+get_ipython().history_manager.enabled = False
+_sys.modules["nbregress"].load_ipython_extension(get_ipython())
+del _util, _sys
 """
 
 
@@ -185,8 +182,7 @@ class Session(NotebookClient):
             await self.async_start_new_kernel_client()
             if language == "python":
                 package = Path(__file__).parent
-                code = _LOAD.format(file=str(package / "__init__.py"), folder=str(package))
-                await self._silently(code)
+                await self._silently(_LOAD.format(str(package / "__init__.py"), str(package)))
             for code in prepare:
                 await self._silently(code)
         except Exception as error:
@@ -309,7 +305,9 @@ async def execute(
                 on_cell(CellRun(index, None, False))
                 continue
             on_cell(await session.run(index))
-        attach_widgets(session.nb, session.widget_state, session.widget_buffers)
+        keep = "widgets" in session.nb.metadata
+        session.set_widgets_metadata()
+        attach_widgets(session.nb, keep)
     except asyncio.CancelledError:
         finish = ()
         raise

@@ -12,6 +12,8 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
+from nbregress.patterns import NAMES
+
 # pytest brings tomli along where Python has no tomllib.
 tomllib = importlib.import_module("tomllib" if sys.version_info >= (3, 11) else "tomli")
 
@@ -23,7 +25,6 @@ _ADDOPTS = {
     "--nbval-cell-timeout": "timeout",
     "--nbval-kernel-name": "kernel",
     "--nbval-sanitize-with": "sanitize_with",
-    "--sanitize-with": "sanitize_with",
 }
 _INI = ("pytest.ini", ".pytest.ini", "tox.ini", "setup.cfg")
 
@@ -134,7 +135,9 @@ def load_settings(
     pattern_file = values.pop("sanitize_with", None)
     known = {f.name for f in fields(Settings)}
     for name in values.keys() - known:
-        raise SettingsError(f"setting {name!r} of nbregress is not known; there are {_list(known)}")
+        raise SettingsError(
+            f"setting {name!r} of nbregress is not known; there are {', '.join(sorted(known))}"
+        )
     for name in ("rtol", "atol", "timeout"):
         if name in values:
             values[name] = _tolerance(name, values[name])
@@ -142,6 +145,8 @@ def load_settings(
         raise SettingsError("timeout must be positive, got 0")
     values["env"] = {str(k): str(v) for k, v in values.get("env", {}).items()}
     values["compare"] = tuple(values.get("compare", ()))
+    for name in set(values["compare"]) - set(NAMES):
+        raise SettingsError(f"noise {name!r} is not known; there are {', '.join(NAMES)}")
     if pattern_file:
         values["sanitize"] = _patterns(Path(pattern_file))
     return Settings(**values)
@@ -204,16 +209,13 @@ def _pytest_ini(folders: list[Path]) -> dict[str, Any]:
     """What the ini file that pytest would use says, its addopts included."""
     for folder in folders:
         found = _toml(folder / "pyproject.toml").get("pytest", {}).get("ini_options")
-        for name in _INI:
-            parser = configparser.RawConfigParser()
-            try:
-                parser.read(folder / name, encoding="utf-8")
-            except (configparser.Error, UnicodeDecodeError):
-                continue  # pytest has the better message
-            section = "tool:pytest" if name == "setup.cfg" else "pytest"
-            if parser.has_section(section):
-                found = dict(parser[section])
-                break
+        parser = configparser.RawConfigParser(strict=False)
+        try:
+            parser.read([folder / name for name in reversed(_INI)], encoding="utf-8")
+        except (configparser.Error, UnicodeDecodeError):
+            continue  # pytest has the better message
+        for section in ("tool:pytest", "pytest"):
+            found = dict(parser[section]) if parser.has_section(section) else found
         if found is not None:
             return _from_ini(found, folder)
     return {}
@@ -232,7 +234,3 @@ def _from_ini(found: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     if values.get("sanitize_with"):
         values["sanitize_with"] = folder / str(values["sanitize_with"])
     return values
-
-
-def _list(names: set[str]) -> str:
-    return ", ".join(sorted(names | {"sanitize_with", "overrides"}))

@@ -1,13 +1,10 @@
 """Notebook files: read, write at once, and keep of the old outputs what still agrees."""
 
 import base64
-import binascii
 import json
 import os
-import struct
 import tempfile
 import warnings
-import zlib
 from collections.abc import Container
 from pathlib import Path
 from typing import Any
@@ -186,22 +183,18 @@ def _plain_png(encoded: str) -> str:
     """The same picture without its text chunks; other data as it came."""
     try:
         png = base64.b64decode(encoded)
-    except binascii.Error:
+    except ValueError:
         return encoded
-    if not png.startswith(_PNG_SIGNATURE):
-        return encoded
-    kept, position = [_PNG_SIGNATURE], len(_PNG_SIGNATURE)
-    while position + 12 <= len(png):
-        (length,) = struct.unpack_from(">I", png, position)
-        end = position + 12 + length
-        chunk = png[position:end]
-        if len(chunk) < 12 + length or zlib.crc32(chunk[4:-4]) != int.from_bytes(chunk[-4:], "big"):
-            return encoded
-        if chunk[4:8] not in _PNG_TEXT:
-            kept.append(chunk)
+    kept, position = png[:8], 8
+    while png.startswith(_PNG_SIGNATURE) and position + 12 <= len(png):
+        end = position + 12 + int.from_bytes(png[position : position + 4], "big")
+        if png[position + 4 : position + 8] not in _PNG_TEXT:
+            kept += png[position:end]
         position = end
+    if position != len(png):
+        return encoded
     # Jupyter ends the base64 text of a picture with a newline, as this does.
-    return base64.encodebytes(b"".join(kept)).decode("ascii").replace("\n", "") + "\n"
+    return base64.encodebytes(kept).decode("ascii").replace("\n", "") + "\n"
 
 
 def keep_agreeing(
@@ -254,18 +247,14 @@ def keep_agreeing(
         if old.outputs != cell.outputs:
             kept.append(f"In [{cell.execution_count}]")
         _keep(old, cell)
-    fresh = any(WIDGET_VIEW in json.dumps(c.get("outputs", [])) for c in _changed(nb, changed))
-    if not fresh:  # the models of all widgets have new names or all have the old
+    shown = [c.get("outputs") for c in nb.cells if f"In [{c.get('execution_count')}]" in changed]
+    if WIDGET_VIEW not in json.dumps(shown):  # all models have new names, or all the old
         for old, cell in widgets:
             kept.append(f"In [{cell.execution_count}]")
             _keep(old, cell)
         if "widgets" in stored.metadata:
             nb.metadata["widgets"] = stored.metadata["widgets"]
     return changed, kept
-
-
-def _changed(nb: Any, names: list[str]) -> list[Any]:
-    return [c for c in nb.cells if f"In [{c.get('execution_count')}]" in names]
 
 
 def _keep(old: Any, cell: Any) -> None:

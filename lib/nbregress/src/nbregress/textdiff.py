@@ -1,6 +1,7 @@
 """Two texts compared: the same words, each number within a tolerance of itself."""
 
 import math
+import os
 import re
 
 from nbregress.numbers import Number, split_numbers
@@ -104,21 +105,13 @@ def _words_difference(stored: str, new: str) -> str:
         if old != line and plain_spaces(split_numbers(old)[0]) != plain_spaces(
             split_numbers(line)[0]
         ):
-            start = _common(old, line)
+            start = max(len(os.path.commonprefix([old, line])) - 40, 0)  # noqa: RUF071
+            start = start if max(len(old), len(line)) > _CUT else 0
             return f"line {number}: {cut(line[start:])!r}\n  stored {cut(old[start:])!r}"
     common = min(len(old_lines), len(new_lines))
     extra = (new_lines[common:] or old_lines[common:] or ["(the end of the line)"])[0]
     count = f"{len(new_lines)} lines, stored {len(old_lines)}"
     return f"{count}; from line {common + 1}: {cut(extra)!r}"
-
-
-def _common(old: str, line: str) -> int:
-    """Where the difference of two long lines begins, and a few words before it."""
-    if max(len(old), len(line)) <= _CUT:
-        return 0
-    pairs = enumerate(zip(old, line, strict=False))
-    first = next((k for k, (a, b) in pairs if a != b), min(len(old), len(line)))
-    return max(first - 40, 0)
 
 
 def plain_spaces(words: list[str]) -> list[str]:

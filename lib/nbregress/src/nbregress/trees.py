@@ -62,8 +62,8 @@ def _frames(stored: list[Any], new: list[Any], comparison: Comparison) -> Iterat
     for number, (a, b) in enumerate(zip(stored, new, strict=True), start=1):
         messages = figures_differences(a, b, comparison, "figure")
         bad += bool(messages)
-        if messages and bad <= 2:
-            yield from (f"frame {number} of {len(new)}: {message}" for message in messages[:3])
+        shown = messages[:3] if bad <= 2 else []
+        yield from (f"frame {number} of {len(new)}: {message}" for message in shown)
     if bad > 2:
         yield f"... and {bad - 2} more frames"
 
