@@ -270,7 +270,7 @@ def book(arguments):
 
 def test(arguments):
     """Run every test; arguments go to pytest."""
-    options = ["-n", WORKERS, "--dist", "loadfile", "--nbval", "--nbval-current-env"]
+    options = ["-n", WORKERS, "--dist", "loadfile", "--nb"]
     ignored = ["--ignore=" + name for name in notebooks("**/*.ipynb")[1]]
     return run(["-m", "pytest", *options, *ignored, *arguments])
 

@@ -71,7 +71,9 @@ def entry_points(files):
 
 def test_only_nbregress_brings_a_pytest_plugin(wheels):
     assert entry_points(wheels["statebook"]) == []
-    assert entry_points(wheels["nbregress"]) == ["[pytest11]\nnbregress = nbregress.plugin\n"]
+    command = "[console_scripts]\nnbregress = nbregress.__main__:main\n\n"
+    plugin = "[pytest11]\nnbregress = nbregress.plugin\n"
+    assert entry_points(wheels["nbregress"]) == [command + plugin]
 
 
 def test_neither_package_asks_for_the_other(wheels):
@@ -133,7 +135,7 @@ def test_a_missing_package_is_named(tmp_path, missing):
     absent(tmp_path, missing)
     done = python("-m", "nbregress", "refresh", "a.ipynb", path=[tmp_path], cwd=tmp_path)
     assert done.returncode == 1
-    assert f"python -m nbregress needs the package {missing}," in done.stderr
+    assert f"nbregress needs the package {missing}," in done.stderr
     assert done.stderr.endswith(f"-m pip install {missing}\n") and done.stderr.count("\n") == 1
 
 
@@ -157,6 +159,6 @@ def test_a_notebook_without_figures_needs_no_matplotlib(tmp_path):
     assert stored.cells[0].outputs == []
     assert stored.cells[1].outputs[0].text == "No module named 'matplotlib'\n"
     (tmp_path / "pytest.ini").write_text("[pytest]\n")
-    options = ["-q", "-p", "no:cacheprovider", "--nbval", "--nbval-current-env"]
+    options = ["-q", "-p", "no:cacheprovider", "--nb"]
     done = python("-m", "pytest", *options, "a.ipynb", path=[tmp_path], cwd=tmp_path)
     assert "3 passed" in done.stdout, done.stdout + done.stderr

@@ -1,13 +1,13 @@
 """Notebook regression that survives another machine.
 
-Three parts:
-
-- ``%load_ext nbregress`` in a notebook's first cell: every Matplotlib
-  figure it shows also stores a small digest of its data;
-- ``pytest --nbval`` with this package installed: numbers agree within a tolerance
+- ``pytest --nb`` with this package installed: numbers agree within a tolerance
   and figures by their data, and nothing passes because it was never compared;
-- ``python -m nbregress execute|refresh``: run notebooks and store their
-  outputs reproducibly.
+- ``nbregress refresh|execute|diff``: run notebooks and store their outputs
+  reproducibly, or compare two as they are stored.
+
+Both load this package into the kernel, where every Matplotlib figure and every
+array, data frame or system that a cell shows then carries a digest of its data.
+A notebook needs no line for it; ``%load_ext nbregress`` does the same by hand.
 """
 
 from typing import TYPE_CHECKING
@@ -17,14 +17,7 @@ if TYPE_CHECKING:
 
 
 def load_ipython_extension(shell: "InteractiveShell") -> None:
-    """Called by ``%load_ext nbregress``."""
+    """Called by the runner, and by ``%load_ext nbregress``."""
     from nbregress.figures import install
 
     install(shell)
-
-
-def unload_ipython_extension(shell: "InteractiveShell") -> None:
-    """Called by ``%unload_ext nbregress``."""
-    from nbregress.figures import uninstall
-
-    uninstall(shell)

@@ -1,31 +1,57 @@
 """What each Matplotlib artist draws, in data coordinates.
 
-Private attributes of Matplotlib are read where it has no public way to the data: the ends
-of a FancyArrowPatch and the corners of three-dimensional collections.
+Private attributes of Matplotlib are read where it has no public way to the data: the corners
+of three-dimensional collections, and what contours were computed from.
 """
 
-from typing import Any
+import math
+from typing import Any, NamedTuple
 
+from nbregress.patches import classes, label_of, patches_digest
 from nbregress.summary import summarize
 
 # Beyond this many, unlabelled lines of one axes are summarized together.
 _SINGLE_LINES = 10
-_PATCH_COLUMNS = {
-    "rectangles": ("x", "y", "width", "height", "angle"),
-    "arrows": ("x", "y", "to x", "to y"),
-}
+_PLACES = ("x", "y", "to x", "to y")
 # Corners of three-dimensional collections, under the names Matplotlib has had for them.
 _SOLID = ("_faces", "_vec", "_segments3d", "_offsets3d")
 
 
-def artists_digest(owner: Any, *, xlog: bool = False, ylog: bool = False) -> list[dict[str, Any]]:
+class View(NamedTuple):
+    """How an axes shows its data: on which scales, and how much of the range.
+
+    Parameters
+    ----------
+    xlog, ylog : bool
+    xwindow, ywindow : float
+        Width of chosen limits; infinite where they follow from the data.
+    """
+
+    xlog: bool = False
+    ylog: bool = False
+    xwindow: float = math.inf
+    ywindow: float = math.inf
+
+    def x(self, values: Any) -> str:
+        """Summary of abscissae."""
+        return summarize(values, log=self.xlog, window=self.xwindow)
+
+    def y(self, values: Any) -> str:
+        """Summary of ordinates."""
+        return summarize(values, log=self.ylog, window=self.ywindow)
+
+    def pair(self, points: Any) -> dict[str, str]:
+        """Summary of points, shape (n, 2)."""
+        return {"x": self.x(points[:, 0]), "y": self.y(points[:, 1])}
+
+
+def artists_digest(owner: Any, view: View | None = None) -> list[dict[str, Any]]:
     """Digest of the visible artists of an axes or a figure.
 
     Parameters
     ----------
     owner : matplotlib.axes.Axes or matplotlib.figure.Figure
-    xlog, ylog : bool
-        Whether the axis is logarithmic.
+    view : View, optional
 
     Returns
     -------
@@ -34,43 +60,44 @@ def artists_digest(owner: Any, *, xlog: bool = False, ylog: bool = False) -> lis
         and ``data``, a summary for each array.
     """
 
-    def pair(points: Any) -> dict[str, str]:
-        return {
-            "x": summarize(points[:, 0], log=xlog),
-            "y": summarize(points[:, 1], log=ylog),
-        }
+    view = view or View()
 
-    found = _lines([line for line in owner.lines if line.get_visible()], xlog, ylog)
-    for collection in getattr(owner, "collections", ()):
-        if collection.get_visible():
-            found.append(_collection(collection, pair))
-    found += _patches([patch for patch in owner.patches if patch.get_visible()], pair)
-    for image in owner.images:
-        if image.get_visible():
-            found.append(_image(image))
+    def seen(name: str) -> list[Any]:
+        return [artist for artist in getattr(owner, name, ()) if artist.get_visible()]
+
+    found = _lines(seen("lines"), view)
+    found += [_collection(collection, view) for collection in seen("collections")]
+    found += patches_digest(seen("patches"), view.pair)
+    found += [_image(image) for image in seen("images")]
     placed = [t for c in getattr(owner, "collections", ()) for t in getattr(c, "labelTexts", ())]
-    for text in owner.texts:
-        if text.get_visible() and text.get_text() and text not in placed:
+    for text in seen("texts"):
+        if text.get_text() and text not in placed:
             found.append(_text(text))
+    for table in seen("tables"):
+        cells = sorted(table.get_celld().items())
+        texts = [cell.get_text().get_text() for _, cell in cells]
+        found.append(
+            {"kind": "table", "places": [f"{r},{c}" for (r, c), _ in cells], "texts": texts}
+        )
+    for artist in seen("artists"):
+        item = _other(artist)
+        if item is not None:
+            found.append(item)
     return found
 
 
-def _label(artist: Any) -> dict[str, str]:
-    label = str(artist.get_label())
-    return {} if label.startswith("_") or not label else {"label": label}
-
-
-def _lines(lines: list[Any], xlog: bool, ylog: bool) -> list[dict[str, Any]]:
+def _lines(lines: list[Any], view: View) -> list[dict[str, Any]]:
     import numpy as np
 
     found: list[dict[str, Any]] = []
-    unlabelled = [line for line in lines if not _label(line)]
+    unlabelled = [line for line in lines if not label_of(line)]
     together = unlabelled if len(unlabelled) > _SINGLE_LINES else []
     before = None
+    summaries = (view.x, view.y, summarize)
     for line in lines:
         if line in together:
             continue
-        item: dict[str, Any] = {"kind": "line", **_label(line)}
+        item: dict[str, Any] = {"kind": "line", **label_of(line)}
         if line.get_drawstyle() != "default":
             item["steps"] = line.get_drawstyle()
         if hasattr(line, "get_xy1"):  # the endless line of Axes.axline
@@ -78,9 +105,10 @@ def _lines(lines: list[Any], xlog: bool, ylog: bool) -> list[dict[str, Any]]:
             item["data"] = {"through": summarize(np.concatenate([np.ravel(end) for end in ends]))}
         else:
             columns = _line_data(line)
-            logs = (xlog, ylog, False)
-            names = zip("xyz", columns, logs, strict=False)
-            item["data"] = {name: summarize(column, log=log) for name, column, log in names}
+            item["data"] = {
+                name: summary(column)
+                for name, summary, column in zip("xyz", summaries, columns, strict=False)
+            }
             # Curves over one and the same grid say so once.
             if len(columns[0]) > 12 and item["data"]["x"] == before:
                 del item["data"]["x"]
@@ -90,8 +118,8 @@ def _lines(lines: list[Any], xlog: bool, ylog: bool) -> list[dict[str, Any]]:
     if together:
         every = [_line_data(line) for line in together]
         data = {"lengths": summarize([len(columns[0]) for columns in every])}
-        for k, log in enumerate((xlog, ylog, False)[: len(every[0])]):
-            data["xyz"[k]] = summarize(np.concatenate([c[k] for c in every]), log=log)
+        for k, summary in enumerate(summaries[: len(every[0])]):
+            data["xyz"[k]] = summary(np.concatenate([c[k] for c in every]))
         found.append({"kind": "lines", "count": len(together), "data": data})
     return found
 
@@ -103,35 +131,39 @@ def _line_data(line: Any) -> list[Any]:
     return [np.ma.filled(np.ma.asarray(column, dtype=float), np.nan) for column in columns]
 
 
-def _collection(artist: Any, pair: Any) -> dict[str, Any]:
+def _collection(artist: Any, view: View) -> dict[str, Any]:
     import numpy as np
     from matplotlib import collections, contour, quiver
 
-    item: dict[str, Any] = {"kind": "collection", **_label(artist)}
+    item: dict[str, Any] = {"kind": "collection", **label_of(artist)}
     data: dict[str, str] = {}
     vectors: Any = artist
     solid = [getattr(artist, name, None) for name in _SOLID]
     if any(part is not None for part in solid):
         item["kind"] = "solid"
-        parts = next(part for part in solid if part is not None)
-        corners: list[Any] = [
-            np.ravel(np.ma.filled(np.ma.asarray(part, float), np.nan)) for part in parts
-        ]
-        data = {"corners": summarize(np.concatenate([np.empty(0), *corners]))}
+        data = _corners(next(part for part in solid if part is not None))
     elif isinstance(artist, (quiver.Quiver, quiver.Barbs)):
         item["kind"] = "arrows"
         places = artist.get_offsets()
         u, v = (vectors.U, vectors.V) if hasattr(vectors, "U") else (vectors.u, vectors.v)
-        data = {**pair(places), "u": summarize(u), "v": summarize(v)}
+        data = {**view.pair(places), "u": summarize(u), "v": summarize(v)}
+        if isinstance(artist, quiver.Quiver):
+            item["units"] = f"{artist.angles}, {artist.scale_units}"
+            if artist.scale is not None and artist.scale_units is not None:
+                data["scale"] = summarize([artist.scale])
     elif isinstance(artist, contour.ContourSet):
         item["kind"] = "filled contours" if artist.filled else "contours"
         data = {"levels": summarize(artist.levels), **_contours(artist)}
+        if getattr(artist, "labelTexts", None):
+            formats = artist.labelFmt
+            item["labels"] = [artist.get_text(v, formats) for v in artist.labelLevelList]
+            item["label format"] = formats if isinstance(formats, str) else ""
     elif isinstance(artist, collections.QuadMesh):
         item["kind"] = "mesh"
-        data = pair(np.reshape(artist.get_coordinates(), (-1, 2)))
+        data = view.pair(np.reshape(artist.get_coordinates(), (-1, 2)))
     elif isinstance(artist, collections.PathCollection):
         item["kind"] = "points"
-        data = pair(artist.get_offsets())
+        data = view.pair(artist.get_offsets())
         if len(artist.get_sizes()) > 1:
             data["sizes"] = summarize(artist.get_sizes())
     else:
@@ -141,91 +173,114 @@ def _collection(artist: Any, pair: Any) -> dict[str, Any]:
             item["kind"] = "area"
         paths = artist.get_paths()
         item["count"] = len(paths)
-        data = pair(np.concatenate([np.empty((0, 2)), *(path.vertices for path in paths)]))
+        data = view.pair(np.concatenate([np.empty((0, 2)), *(path.vertices for path in paths)]))
         if len(artist.get_offsets()) > 1:
-            offsets = pair(artist.get_offsets())
+            offsets = view.pair(artist.get_offsets())
             data["offset x"], data["offset y"] = offsets["x"], offsets["y"]
-    if artist.get_array() is not None and not isinstance(artist, contour.ContourSet):
+    if isinstance(artist, contour.ContourSet):
+        item |= _norm(artist)
+    elif artist.get_array() is not None:
         data["values"] = summarize(artist.get_array())
         data["colour limits"] = summarize([np.nan if c is None else c for c in artist.get_clim()])
+        item |= _norm(artist)
+    else:
+        line = item["kind"] == "segments"
+        data |= classes(artist.get_edgecolor() if line else artist.get_facecolor())
     item["data"] = data
     return item
 
 
+def _norm(artist: Any) -> dict[str, str]:
+    name = type(artist.norm).__name__
+    return {} if name in ("Normalize", "NoNorm") else {"norm": name}
+
+
+def _corners(parts: Any) -> dict[str, str]:
+    """Corners of solids, whatever the order of their faces, counted once each."""
+    import numpy as np
+
+    filled: list[Any] = [np.ma.filled(np.ma.asarray(part, float), np.nan) for part in parts]
+    if not filled or filled[0].ndim == 1:  # a row for each coordinate
+        points = np.stack(filled[:3], axis=1) if filled else np.empty((0, 3))
+    else:
+        points = np.concatenate([part.reshape(-1, 3) for part in filled])
+    points = points[np.isfinite(points).all(axis=1)]
+    if not len(points):
+        return {}
+    span = np.ptp(points, axis=0).max() or 1.0
+    _, first = np.unique(np.round(points / span, 7), axis=0, return_index=True)
+    points = points[first]
+    q = points - points.mean(axis=0)
+    skew, mixed = np.cbrt((q**3).mean(axis=0)), (q * np.roll(q, 1, axis=1)).mean(axis=0) / span
+    parts = [
+        points.min(axis=0),
+        points.max(axis=0),
+        points.mean(axis=0),
+        q.std(axis=0),
+        skew,
+        mixed,
+    ]
+    return {name: summarize([part[k] for part in parts]) for k, name in enumerate("xyz")}
+
+
 def _contours(artist: Any) -> dict[str, str]:
-    """Length and centre of each level's curves: no matter where a curve starts."""
+    """Length, centre and spread of each level's curves: no matter where a curve starts."""
     import numpy as np
 
     curves = [path.to_polygons(closed_only=False) for path in artist.get_paths()]
-    if artist.labelTexts:
+    if getattr(artist, "labelTexts", None):
         # Labels cut the curves where there is room on paper: take them as computed.
         lines = getattr(getattr(artist, "_contour_generator", None), "lines", None)
         if lines is None:
             return {}
         curves = [lines(level)[0] for level in artist.levels]
-    rows = []
+    rows: list[Any] = []
     for level in curves:
-        total = np.zeros(3)
+        total = np.zeros(7)
         for points in level:
             step = np.diff(points, axis=0)
             length = np.hypot(step[:, 0], step[:, 1])
-            middle = (points[:-1] + points[1:]) / 2.0
-            total += (length.sum(), *(length @ middle))
+            x, y = ((points[:-1] + points[1:]) / 2.0).T
+            terms = np.stack([np.ones_like(x), x, y, x * y, x**2, x**3, y**3])
+            total += terms @ length
         rows.append(total)
-    lengths, x, y = np.reshape(rows, (-1, 3)).T
-    return {"lengths": summarize(lengths), "x": summarize(x), "y": summarize(y)}
-
-
-def _patches(patches: list[Any], pair: Any) -> list[dict[str, Any]]:
-    import numpy as np
-    from matplotlib.patches import FancyArrowPatch, Rectangle
-
-    groups: dict[str, list[tuple[Any, Any]]] = {}
-    for patch in patches:
-        if isinstance(patch, Rectangle):
-            corner, size = patch.get_xy(), (patch.get_width(), patch.get_height(), patch.angle)
-            groups.setdefault("rectangles", []).append((patch, [*corner, *size]))
-        elif isinstance(patch, FancyArrowPatch):
-            ends = getattr(patch, "_posA_posB", None)
-            if ends is None:
-                vertices = getattr(patch, "_path_original").vertices  # noqa: B009
-                groups.setdefault("arrow along a path", []).append((patch, vertices))
-            else:
-                groups.setdefault("arrows", []).append((patch, np.ravel(ends)))
-        else:
-            vertices = patch.get_patch_transform().transform(patch.get_path().vertices)
-            groups.setdefault("patches", []).append((patch, vertices))
-    found = []
-    for kind, members in groups.items():
-        item: dict[str, Any] = {"kind": kind, "count": len(members)}
-        labels = [label["label"] for patch, _ in members if (label := _label(patch))]
-        if labels:
-            item["labels"] = labels
-        if kind in _PATCH_COLUMNS:
-            names = _PATCH_COLUMNS[kind]
-            columns = np.array([row for _, row in members], dtype=float).T
-            item["data"] = {name: summarize(c) for name, c in zip(names, columns, strict=True)}
-        else:
-            item["data"] = pair(np.concatenate([vertices for _, vertices in members]))
-        found.append(item)
-    return found
+    columns = np.reshape(rows, (-1, 7)).T
+    names = ("lengths", "x", "y", "xy", "xx", "xxx", "yyy")
+    return {name: summarize(column) for name, column in zip(names, columns, strict=True)}
 
 
 def _image(artist: Any) -> dict[str, Any]:
     values = artist.get_array()
-    item: dict[str, Any] = {"kind": "image", **_label(artist), "shape": list(values.shape)}
+    item: dict[str, Any] = {"kind": "image", **label_of(artist), "shape": list(values.shape)}
     item["data"] = {"values": summarize(values), "colour limits": summarize(artist.get_clim())}
     if hasattr(artist, "get_extent"):
         item["data"]["extent"] = summarize(artist.get_extent())
-    return item
+    return {**item, **_norm(artist)}
 
 
 def _text(artist: Any) -> dict[str, Any]:
     place = [*artist.get_position()]
+    item: dict[str, Any] = {"kind": "text", "text": artist.get_text()}
     if hasattr(artist, "xyann"):
         place += [*artist.xy]
+        if artist.arrow_patch is not None and artist.arrow_patch.get_visible():
+            item["arrow"] = True
+    # Each by itself: an offset in points stands beside a place in data.
     try:
-        data = {"at": summarize(place)}
+        data = {name: summarize([v]) for name, v in zip(_PLACES, place, strict=False)}
     except (TypeError, ValueError):  # dates and categories as positions
         data = {}
-    return {"kind": "text", "text": artist.get_text(), "data": data}
+        item["at"] = [str(value) for value in place]
+    return {**item, "data": data}
+
+
+def _other(artist: Any) -> dict[str, Any] | None:
+    """Boxes with text, and the key of an arrow field."""
+    from matplotlib.quiver import QuiverKey
+
+    if hasattr(artist, "legend_handles"):
+        return None  # a legend is no artist of the data
+    if isinstance(artist, QuiverKey):
+        return {"kind": "key", "text": artist.text.get_text(), "data": {"u": summarize([artist.U])}}
+    texts = [t.get_text() for t in artist.findobj(lambda a: hasattr(a, "get_text")) if t.get_text()]
+    return {"kind": type(artist).__name__, "text": "\n".join(dict.fromkeys(texts))}

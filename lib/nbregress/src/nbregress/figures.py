@@ -1,75 +1,55 @@
-"""A Matplotlib figure's data as a small JSON digest.
+"""A Matplotlib figure's data as a small JSON digest, and how IPython comes to show it.
 
 Labels, scales, limits, and what each artist draws, in data coordinates: fonts, colours,
 sizes on paper and the picture's bytes are left out.
 """
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from nbregress.artists import artists_digest
-from nbregress.summary import summarize
+from nbregress.axes import axes_digest, legend_digest
+from nbregress.frames import watch_animations
+from nbregress.mime import FIGURE_TYPE
+from nbregress.values import KNOWN, data_bundle
 
 if TYPE_CHECKING:
     from IPython.core.interactiveshell import InteractiveShell
 
-MIME_TYPE = "application/vnd.nbregress.figure+json"
-# The name under which digests were stored before this package had its own.
-_OLD_MIME_TYPE = "application/vnd.statebook.figure+json"
+VERSION = 2
 
 
 def install(shell: "InteractiveShell") -> None:
-    """Let every Matplotlib figure that IPython shows carry its digest.
+    """Let figures and known objects that IPython shows carry their digests.
 
-    Matplotlib itself is not loaded; the hook waits for its first figure.
-
-    Parameters
-    ----------
-    shell : IPython.core.interactiveshell.InteractiveShell
-    """
-    formatter = getattr(shell.display_formatter, "mimebundle_formatter", None)
-    if formatter is not None:
-        formatter.for_type_by_name("matplotlib.figure", "Figure", _bundle)
-
-
-def uninstall(shell: "InteractiveShell") -> None:
-    """Undo `install`.
+    Matplotlib, NumPy and pandas are not loaded; the hooks wait for their first object.
 
     Parameters
     ----------
     shell : IPython.core.interactiveshell.InteractiveShell
     """
     formatter = getattr(shell.display_formatter, "mimebundle_formatter", None)
-    if formatter is not None:
-        formatter.pop("matplotlib.figure.Figure", None)
+    if formatter is None:
+        return
+    formatter.for_type_by_name("matplotlib.figure", "Figure", figure_bundle)
+    for module, name in KNOWN:
+        formatter.for_type_by_name(module, name, data_bundle)
+    for kind in (list, tuple, dict):
+        formatter.for_type(kind, data_bundle)
+    watch_animations(shell, formatter, digest)
 
 
-def _bundle(figure: Any, **_: Any) -> dict[str, Any]:
-    return {MIME_TYPE: digest(figure)}
-
-
-def rename_digest(bundle: Mapping[str, Any]) -> dict[str, Any]:
-    """Give a digest that was stored under its old name today's.
+def figure_bundle(figure: Any, **_: Any) -> dict[str, Any]:
+    """A figure's digest by its MIME type; what IPython calls for a figure.
 
     Parameters
     ----------
-    bundle : mapping
-        Data of an output by MIME type.
+    figure : matplotlib.figure.Figure
 
     Returns
     -------
-    renamed : dict
-        A copy; without an old name in it, an equal one.
-
-    Examples
-    --------
-    >>> rename_digest({"application/vnd.statebook.figure+json": {"version": 1}})
-    {'application/vnd.nbregress.figure+json': {'version': 1}}
+    bundle : dict
     """
-    renamed = dict(bundle)
-    if _OLD_MIME_TYPE in renamed:
-        renamed.setdefault(MIME_TYPE, renamed.pop(_OLD_MIME_TYPE))
-    return renamed
+    return {FIGURE_TYPE: digest(figure)}
 
 
 def digest(figure: Any) -> dict[str, Any]:
@@ -82,7 +62,8 @@ def digest(figure: Any) -> dict[str, Any]:
     Returns
     -------
     digest : dict
-        JSON data; arrays appear as the texts of `nbregress.summary.summarize`.
+        JSON data; arrays appear as the texts of `nbregress.summary.summarize`. Of a figure
+        that cannot be read, ``error`` says why.
 
     Examples
     --------
@@ -92,74 +73,32 @@ def digest(figure: Any) -> dict[str, Any]:
     >>> digest(figure)["axes"][0]["artists"]
     [{'kind': 'line', 'label': 'square', 'data': {'x': '0 1 2', 'y': '0 1 4'}}]
     """
-    result: dict[str, Any] = {"version": 1}
-    if figure.get_suptitle():
-        result["title"] = figure.get_suptitle()
+    try:
+        return {"version": VERSION, **_parts(figure)}
+    except Exception as error:
+        return {"version": VERSION, "error": f"{type(error).__name__}: {error}"}
+
+
+def _parts(figure: Any) -> dict[str, Any]:
+    result: dict[str, Any] = {}
+    title = figure.get_suptitle()
+    if title:
+        result["title"] = title
+    for name in ("supxlabel", "supylabel"):
+        text = getattr(figure, f"get_{name}")()
+        if text:
+            result[name] = text
     if figure.legends:
-        result["legend"] = [text.get_text() for leg in figure.legends for text in leg.get_texts()]
+        result["legends"] = [legend_digest(legend) for legend in figure.legends]
     artists = artists_digest(figure)
     # Where a figure's own texts stand is a matter of its layout on paper.
     artists = [{"kind": "text", "text": a["text"]} if a["kind"] == "text" else a for a in artists]
-    artists = [a for a in artists if a.get("text") != result.get("title", "")]
+    own = [title, result.get("supxlabel"), result.get("supylabel")]
+    artists = [a for a in artists if a.get("text") not in own or a["kind"] != "text"]
     if artists:
         result["artists"] = artists
     # A figure lists the axes of its subfigures too.
-    result["axes"] = [_axes(ax) for ax in figure.axes if ax.figure is figure]
-    for sub in figure.subfigs:
-        result.setdefault("subfigures", []).append(digest(sub))
-    return result
-
-
-def _axes(ax: Any) -> dict[str, Any]:
-    result: dict[str, Any] = {}
-    if ax.name != "rectilinear":
-        result["projection"] = ax.name
-    title = " / ".join(
-        filter(None, (ax.get_title(loc=side) for side in ("left", "center", "right")))
-    )
-    if title:
-        result["title"] = title
-    if not ax.get_visible():
-        return {**result, "hidden": True}
-    if not ax.axison and ax.name != "3d":
-        result["axis"] = "off"
-    elif ax.get_aspect() != "auto":
-        result["aspect"] = f"{ax.get_aspect():g}"
-    for name in ("x", "y", "z"):
-        axis = getattr(ax, f"{name}axis", None)
-        if axis is not None:
-            chosen = not getattr(ax, f"get_autoscale{name}_on")()
-            result[name] = _axis(axis, chosen)
-    if getattr(ax, "_colorbar", None) is not None:
-        return {**result, "colour bar": True}
-    legend = ax.get_legend()
-    if legend is not None:
-        texts = [legend.get_title().get_text(), *(text.get_text() for text in legend.get_texts())]
-        result["legend"] = [text for text in texts if text]
-    result["artists"] = artists_digest(
-        ax, xlog=ax.get_xscale() == "log", ylog=ax.get_yscale() == "log"
-    )
-    if ax.child_axes:
-        result["insets"] = [_axes(child) for child in ax.child_axes]
-    return result
-
-
-def _axis(axis: Any, chosen: bool) -> dict[str, Any]:
-    from matplotlib.category import StrCategoryFormatter
-    from matplotlib.ticker import FixedFormatter, FuncFormatter
-
-    scale = axis.get_scale()
-    result: dict[str, Any] = {}
-    if chosen:
-        # Automatic limits follow from the data, and at times from the size on paper.
-        result["limits"] = summarize(axis.get_view_interval(), log=scale == "log")
-    if axis.get_label_text():
-        result["label"] = axis.get_label_text()
-    if scale != "linear":
-        result["scale"] = scale
-    if axis.get_inverted():
-        result["inverted"] = True
-    named = (FixedFormatter, FuncFormatter, StrCategoryFormatter)
-    if isinstance(axis.get_major_formatter(), named):
-        result["ticks"] = [tick.get_text() for tick in axis.get_ticklabels()]
+    result["axes"] = [axes_digest(ax) for ax in figure.axes if ax.figure is figure]
+    if figure.subfigs:
+        result["subfigures"] = [_parts(sub) for sub in figure.subfigs]
     return result

@@ -1,73 +1,81 @@
 """The notebook and the cell as pytest sees them."""
 
+import json
 import os
-import re
-import time
 from collections.abc import Iterator
 from pathlib import Path
-from queue import Empty
 from typing import Any
 
 import pytest
 from nbval.plugin import IPyNbCell, IPyNbFile, NbCellError
 
+from nbregress.background import Background, NotebookRun
+from nbregress.comparison import Comparison
 from nbregress.outputs import outputs_differences
-from nbregress.tolerance import configured_tolerance, tolerance_tags
+from nbregress.session import CellError, NotebookError, cell_options
+from nbregress.settings import Settings, SettingsError, load_settings
+from nbregress.store import keep_agreeing, normalize, read, write
+from nbregress.textdiff import cut
 
-# How often a silent kernel is asked whether it is still there.
-_POLL = 1.0
 _NEVER = "was never executed before it was saved: there is nothing to compare with"
-_COLOUR = re.compile(r"\x1b\[[0-9;]*m")
-
-
-class KernelDiedError(Exception):
-    """The kernel went away while a cell was running."""
+_MOST_LINES = 40  # of a message
+#: What the reports and the summary need of a cell.
+DETAILS = pytest.StashKey[dict[str, Any]]()
+BACKGROUND = pytest.StashKey[Background]()
 
 
 class NotebookFile(IPyNbFile):
-    """A notebook under regression: nbval's, with its own cells."""
+    """A notebook under regression: nbval's, with its own cells and kernel."""
 
+    run: NotebookRun | None = None
+    settings = Settings()
     problem: str | None = None
 
     def collect(self) -> Iterator[pytest.Item]:
         """One item for each code cell, or one that says why there are none."""
         try:
-            cells = list(super().collect())
-        except Exception as error:
+            self.nb = read(self.path)
+            self.settings = load_settings(self.path, *_given(self.config))
+        except (NotebookError, SettingsError) as error:
             # An error raised here would end the whole run.
-            lines = str(error).strip().splitlines() or [type(error).__name__]
-            yield Unreadable.from_parent(self, name="notebook", reason=lines[0][:200])
+            yield Unreadable.from_parent(self, name="notebook", reason=str(error))
             return
-        for old in cells:
-            yield NotebookCell.from_parent(
+        code = (index for index, cell in enumerate(self.nb.cells) if cell.cell_type == "code")
+        for number, index in enumerate(code):
+            cell = self.nb.cells[index]
+            title = str(cell.metadata.get("name") or "").replace("::", ":")
+            options = {"check": self.compare_outputs, **cell_options(cell)}
+            item = NotebookCell.from_parent(
                 self,
-                name=old.name,
-                cell_num=old.cell_num,
-                cell=old.cell,
-                options=old.options,
+                name=f"Cell {number}" + (f" {title}" if title else ""),
+                cell_num=number,
+                cell=cell,
+                options=options,
             )
+            item.index = index
+            item.extra_keyword_matches.update(map(str, cell.metadata.get("tags", [])))
+            yield item
 
     def setup(self) -> None:
-        """Start the kernel; a failure is the first cell's to report."""
-        if not hasattr(self, "nb"):
+        """Execute the notebook in the background, up to the last cell that is asked for."""
+        if self.run is not None or self.problem is not None or not hasattr(self, "nb"):
             return
         code = [c for c in self.nb.cells if c.cell_type == "code" and c.source.strip()]
-        if code and all(c.execution_count is None and not c.outputs for c in code):
-            self.problem = f"{_NEVER}; to accept: {self.refresh_command}"
+        unrun = code and all(c.execution_count is None and not c.outputs for c in code)
+        if unrun and not self.updating:
+            self.problem = f"{_NEVER}; {self.how_to_accept}"
             return
-        environment = {"PYTHONHASHSEED": os.environ.get("PYTHONHASHSEED"), "MPLBACKEND": None}
-        saved = {name: os.environ.pop(name, None) for name in environment}
-        os.environ["PYTHONHASHSEED"] = environment["PYTHONHASHSEED"] or "0"
-        try:
-            super().setup()
-            _improve(self.kernel)
-        except Exception as error:
-            self.problem = f"has no kernel: {type(error).__name__}: {error}"
-        finally:
-            for name, value in saved.items():
-                os.environ.pop(name, None)
-                if value is not None:
-                    os.environ[name] = value
+        items = [i for i in self.session.items if i.parent is self]
+        whole = self.updating or len(items) == sum(c.cell_type == "code" for c in self.nb.cells)
+        until = None if whole else max((i.index for i in items), default=-1)
+        prepare, finish = _coverage(self.config, self.path)
+        self.run = NotebookRun(self.nb, self.path.parent, self.settings, until, prepare, finish)
+        self.config.stash[BACKGROUND].submit(self.run)
+
+    @property
+    def updating(self) -> bool:
+        """Whether what the notebook shows now is accepted."""
+        return bool(self.config.getoption("nb_update", False))
 
     @property
     def shown_path(self) -> str:
@@ -78,59 +86,88 @@ class NotebookFile(IPyNbFile):
             return str(self.path)
 
     @property
-    def refresh_command(self) -> str:
+    def how_to_accept(self) -> str:
         """The command that accepts what the notebook produces now."""
-        return f"python -m nbregress refresh {self.shown_path}"
+        return f"to accept: python -m nbregress refresh {self.shown_path}"
 
     def teardown(self) -> None:
-        """Close the kernel, whatever state it is in."""
-        try:
-            super().teardown()
-        finally:
-            if self.kernel is not None and hasattr(self.kernel, "km"):
-                self.kernel.stop()
+        """With --nb-update, store the new outputs of the cells that were asked for."""
+        run, self.run = self.run, None
+        if run is None or not self.updating or self.problem is not None:
+            return
+        run.done.exception()
+        items = {i.index for i in self.session.items if i.parent is self and not i.failed}
+        normalize(run.executed)
+        changed, _ = keep_agreeing(self.nb, run.executed, self.settings, items)
+        write(run.executed, self.path)
+        if changed:
+            print(f"\n{self.shown_path}: new outputs of {', '.join(changed)} accepted")
 
 
-def _improve(kernel: Any) -> None:
-    """Run cells as Jupyter does, remember the replies, notice a dead kernel."""
-    get_message = kernel.get_message
-    kernel.last_status = None
-    # The history is what tells IPython of a semicolon; it need not end in the user's file.
-    if str(kernel.language).startswith("python"):
-        quiet = "get_ipython().history_manager.enabled = False"
-        kernel.await_idle(kernel.kc.execute(quiet, silent=True, store_history=False), 60)
+def check_options(config: pytest.Config) -> None:
+    """Read the settings that hold for all notebooks.
 
-    def execute_cell_input(source: str, allow_stdin: bool | None = None) -> str:
-        # nbval leaves the history out, and with it what `;` at the end of a cell means.
-        kernel.last_status = None
-        return str(
-            kernel.kc.execute(
-                source, store_history=True, allow_stdin=allow_stdin, stop_on_error=False
-            )
-        )
+    Parameters
+    ----------
+    config : pytest.Config
 
-    def get_message_alive(stream: str, timeout: float | None = None) -> Any:
-        end = None if timeout is None else time.monotonic() + timeout
-        while True:
-            left = _POLL if end is None else max(end - time.monotonic(), 0.0)
-            try:
-                message = get_message(stream, timeout=min(left, _POLL))
-            except Empty:
-                if not kernel.is_alive():
-                    raise KernelDiedError from None
-                if end is not None and time.monotonic() >= end:
-                    raise
-                continue
-            if stream == "shell":
-                kernel.last_status = message["content"].get("status")
-            return message
+    Raises
+    ------
+    SettingsError
+        If one cannot be read.
+    """
+    if config.option.nb_jobs < 1:
+        raise SettingsError(f"--jobs must be at least 1, got {config.option.nb_jobs}")
+    load_settings(config.rootpath / "*.ipynb", *_given(config))
 
-    kernel.execute_cell_input = execute_cell_input
-    kernel.get_message = get_message_alive
+
+def _given(config: pytest.Config) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What the command line and pytest's ini file set."""
+    option = config.option
+    given = {name: config.getoption(f"regression_{name}") for name in ("rtol", "atol")}
+    given["kernel"] = option.nbval_kernel_name
+    given["sanitize_with"] = option.nbval_sanitize_with
+    given["timeout"] = config.getoption("nb_timeout", None)
+    if config.getoption("nb_compare", None):
+        given["compare"] = tuple(config.getoption("nb_compare"))
+    ini = {name: config.getini(f"regression_{name}") or None for name in ("rtol", "atol")}
+    return given, ini
+
+
+def _coverage(config: pytest.Config, path: Path) -> tuple[list[str], list[str]]:
+    """Code with which nbval starts and ends coverage within a kernel."""
+    if not getattr(config.option, "cov_source", None):
+        return [], []
+    from nbval.cover import setup_coverage, teardown_coverage
+
+    prepare, finish = _Recorder(), _Recorder()
+    setup_coverage(config, prepare, path)
+    teardown_coverage(config, finish)
+    return prepare.code, finish.code
+
+
+class _Recorder:
+    """Takes down what nbval would execute in a kernel."""
+
+    language = "python"
+
+    def __init__(self) -> None:
+        self.code: list[str] = []
+        self.kc = self
+
+    def execute(self, code: str, **_: Any) -> str:
+        self.code.append(code)
+        return ""
+
+    def await_idle(self, *_: Any) -> None:
+        pass
 
 
 class Unreadable(pytest.Item):
     """Stands for a notebook that cannot be read."""
+
+    index = -1
+    failed = True
 
     def __init__(self, *, reason: str, **kwargs: Any) -> None:
         super().__init__(**kwargs)
@@ -138,74 +175,105 @@ class Unreadable(pytest.Item):
 
     def runtest(self) -> None:
         """Fail with the reason."""
-        pytest.fail(f"{self.path} is not a readable notebook: {self.reason}", pytrace=False)
-
-    def reportinfo(self) -> tuple[Path, int, str]:
-        """The place as pytest prints it."""
-        return self.path, 0, f"{self.path.name}::notebook"
+        pytest.fail(f"{self.path} is not a readable notebook: it {self.reason}", pytrace=False)
 
 
 class NotebookCell(IPyNbCell):
     """A code cell whose outputs are compared by numbers and figure data."""
 
-    def setup(self) -> None:
-        """Skip what cannot run any more; the cell that broke it has failed."""
-        if self.parent.timed_out:
-            pytest.skip("a cell before this one timed out")
-        if self.parent.problem is not None and self is not self._first():
-            pytest.skip("the notebook cannot run; see its first failure")
+    index = 0
+    failed = False
 
-    def _first(self) -> Any:
-        return next(item for item in self.session.items if item.parent is self.parent)
+    def setup(self) -> None:
+        """Skip what nbval's tag skips."""
+        if self.options.get("skip"):
+            pytest.skip("tagged nbval-skip")
 
     def runtest(self) -> None:
-        """Execute the cell and compare, or say why that proves nothing."""
+        """Wait for the cell and compare, or say why that proves nothing."""
+        self.failed = True
         if self.parent.problem is not None:
-            self.raise_cell_error(f"the notebook {self.parent.problem}")
+            self._stopped(self.parent.problem)
         try:
-            self.tolerance = configured_tolerance(self.config)._replace(**tolerance_tags(self.cell))
-        except ValueError as error:
+            settings = self.parent.settings.with_tags(self.cell)
+        except SettingsError as error:
             self.raise_cell_error(str(error))
         try:
-            super().runtest()
-        except KernelDiedError:
-            self.parent.problem = "lost its kernel"
-            self.raise_cell_error("the kernel died while executing this cell")
+            run = self.parent.run.cell(self.index)
+        except CellError as error:
+            if error.index >= self.index:
+                self.parent.problem = str(error)
+            self._stopped(str(error))
+        except NotebookError as error:
+            self._stopped(str(error))
+        new = self.parent.run.executed.cells[self.index].outputs
+        self._compare(run, new, settings)
+        self.failed = False
+
+    def _stopped(self, problem: str) -> None:
+        """Fail at the first cell that could not run, skip those after it."""
+        if getattr(self.parent, "told", False):
+            pytest.skip("the notebook stopped at a cell before this one; see its first failure")
+        self.parent.told = True
+        whole = problem.startswith(("has ", "was ", "could "))
+        self.raise_cell_error(f"the notebook {problem}" if whole else problem)
+
+    def _compare(self, run: Any, new: Any, settings: Settings) -> None:
         if not self.cell.source.strip():
             return
-        raised = self.parent.kernel.last_status == "error"
-        if raised and not self.options["check_exception"]:
-            self.raise_cell_error("the cell failed", _printed(self.test_outputs))
-        if self.options["check_exception"] and not raised:
+        comparison = Comparison(settings)
+        self.stash[DETAILS] = {"noise": comparison.noise}
+        expected = self.options.get("check_exception")
+        if run.error is not None and not expected:
+            self.raise_cell_error("the cell failed", cut(run.error, 2000) + _printed(new))
+        if expected and run.error is None:
             self.raise_cell_error("expected to raise an exception, but nothing was raised")
+        if self.parent.updating:
+            return
         if self.cell.execution_count is None:
-            self.raise_cell_error(f"the cell {_NEVER}", self._accept())
+            self.raise_cell_error(f"the cell {_NEVER}", self.parent.how_to_accept)
+        if not self.options["check"]:
+            return
+        messages = outputs_differences(self.cell.outputs, new, comparison)
+        if messages:
+            self.stash[DETAILS] |= self._details(messages, new)
+            lines = [line for message in messages for line in message.splitlines()]
+            more = len(lines) - _MOST_LINES
+            lines = lines[:_MOST_LINES] + ([f"... and {more} more lines"] if more > 0 else [])
+            self.raise_cell_error(
+                "Cell outputs differ", "\n".join([*lines, self.parent.how_to_accept])
+            )
 
-    def compare_outputs(self, test: Any, ref: Any, skip_compare: Any = None) -> bool:
-        """Whether the outputs agree; called by nbval."""
-        stored, new = self.sanitize_outputs(ref), self.sanitize_outputs(test)
-        messages = outputs_differences(stored, new, self.tolerance)
-        self.comparison_traceback = [*messages, self._accept()] if messages else []
-        return not messages
+    def _details(self, messages: list[str], new: Any) -> dict[str, Any]:
+        return {
+            "notebook": self.parent.shown_path,
+            "cell": self.name,
+            "source": self.cell.source,
+            "messages": messages,
+            "outputs": json.loads(json.dumps([self.cell.outputs, new])),
+        }
 
     def repr_failure(self, excinfo: Any, style: Any = None) -> str:
         """The report of a failure: where, what, how to accept it."""
         error = excinfo.value
         if not isinstance(error, NbCellError):
-            return str(super().repr_failure(excinfo))
+            return str(pytest.Item.repr_failure(self, excinfo))
         count = self.cell.execution_count
         place = f"{self.parent.shown_path}, cell {self.cell_num}" + (
             f" (In [{count}])" if count else ""
         )
         lines = [f"{place}: {error}"]
         if error.inner_traceback:
-            lines.append(_COLOUR.sub("", error.inner_traceback).strip("\n"))
-        lines += ["", *(f"    {line}" for line in error.source.splitlines())]
+            lines.append(error.inner_traceback.strip("\n"))
+        source = error.source.splitlines()
+        lines += ["", *(f"    {cut(line)}" for line in source[:_MOST_LINES])]
         return "\n".join(lines)
 
-    def _accept(self) -> str:
-        return f"to accept: {self.parent.refresh_command}"
+    def reportinfo(self) -> tuple[Path, int, str]:
+        """The place as pytest and CI print it."""
+        return self.path, self.index, f"{self.path.name}::{self.name}"
 
 
 def _printed(outputs: Any) -> str:
-    return "".join(o["text"] for o in outputs or () if o["output_type"] == "stream")
+    text = "".join(o["text"] for o in outputs or () if o["output_type"] == "stream")
+    return f"\n{cut(text, 2000)}" if text else ""

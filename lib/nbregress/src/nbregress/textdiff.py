@@ -1,80 +1,35 @@
-"""Two texts compared: the same words, numbers within a tolerance."""
+"""Two texts compared: the same words, each number within a tolerance of itself."""
 
 import math
+import os
 import re
-from dataclasses import dataclass
 
-# One unit in the last printed place is no difference, as long as it is at most this part
-# of the number: 0.3333 may print as 0.3334, but 0.5 is not 0.6.
-_UNIT_PART = 0.1
-# %g drops zeros at the end, so that one number of a pair shows fewer places. The unit in
-# the last place of the longer one is then excused from this many digits on.
-_UNIT_DIGITS = 4
+from nbregress.numbers import Number, split_numbers
+from nbregress.settings import Settings
+
+# Rounding leaves this much of the largest number beside it.
+RESIDUE = 1000 * 2.0**-52
 _SHOWN = 5
-
-_SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺", "0123456789-+")
-# python-control aligns numbers in LaTeX by splitting them over columns.
-_LATEX_COLUMNS = re.compile(r"(?:\\phantom\{\.\})?&\\hspace\{-1em\}(?:\\phantom\{\\cdot\})?")
-_ADDRESS = re.compile(r"\bat 0x[0-9A-Fa-f]+")
-
-_NUMBER = re.compile(
-    r"""
-    # Kept as text, digits and all: versions, section numbers, requirements, 1.2.3, 12:30:01.5
-    (?P<exact>
-        \b(?i:version|release|python|numpy|scipy|matplotlib)[ =:]*\d+(?:\.\d+)+
-      | \b(?i:section|chapter|figure|fig|table|equation|eq)[.]?\ \d+(?:\.\d+)+
-      | \b[A-Za-z][\w.-]*==\d[\w.]*
-      | (?<![\w.])\d+(?:\.\d+){2,}\w*
-      | (?<![\w.])\d+(?::\d+)+(?:\.\d+)?
-      | (?<![\w.])0[xX][0-9A-Fa-f]+
-      | (?<![\w.])\d[\w.]*_[\w.]*
-      | \d+(?:\.\d+)+(?![eE]\d+j?\b)[A-Za-z]+\d\w*
-      | \d+\.\d+\.[A-Za-z]\w*
-    )
-  | (?P<number>
-        (?:[-+]\ ?|(?<![\w.]))
-        (?:
-            (?:10\s?(?:\^\s?\{?(?P<power>[-+]?\d+)\}?
-                |<sup>(?P<hpower>[-+]?\d+)</sup>
-                |(?P<upower>[⁻⁺]?[⁰¹²³⁴⁵⁶⁷⁸⁹]+)))
-          | (?P<mantissa>\d+\.\d*|\.\d+|\d+)
-            (?:[eE](?P<e>[-+]?\d+)
-              |\s?(?:\\cdot|\\times|&times;|&middot;|\u00d7|\u00b7|\*)\s?10\s?
-                (?:\^\s?\{?(?P<lexp>[-+]?\d+)\}?
-                  |<sup>(?P<hexp>[-+]?\d+)</sup>
-                  |(?P<uexp>[⁻⁺]?[⁰¹²³⁴⁵⁶⁷⁸⁹]+)))?
-            (?![\d_])
-          | \b(?:inf|nan)(?=j?\b)
-        )
-    )
-    """,
-    re.VERBOSE,
-)
+_CUT = 200
 
 
-@dataclass(frozen=True)
-class _Number:
-    text: str
-    line: int
-    value: float
-    places: int  # digits after the point of the mantissa
-    digits: int  # digits of the mantissa, leading zeros apart
-    unit: float  # one unit in the last printed place; 0 for inf and nan
-    integer: bool
-
-
-def text_difference(stored: str, new: str, *, rtol: float, atol: float) -> str | None:
+def text_difference(
+    stored: str, new: str, settings: Settings, *, beside: float = 0.0
+) -> str | None:
     """What differs between two texts, or None.
 
     Words, integers, dates, versions and identifiers must be the same. A number with a
-    point or an exponent may differ by ``atol`` plus ``rtol`` times its modulus (that of the
-    complex number it is part of), or by one unit in the last printed place. Arrays may
-    wrap lines differently.
+    point or an exponent may differ by ``rtol`` times itself, plus ``atol``; within the
+    brackets of an array, and in a complex number, also by what rounding leaves of the
+    largest number there. Arrays may wrap lines differently.
 
     Parameters
     ----------
     stored, new : str
-    rtol, atol : float >= 0
+    settings : Settings
+        Its ``rtol`` and ``atol``.
+    beside : float >= 0
+        The largest number of the array that the texts are a part of.
 
     Returns
     -------
@@ -82,52 +37,60 @@ def text_difference(stored: str, new: str, *, rtol: float, atol: float) -> str |
 
     Examples
     --------
-    >>> text_difference("x = 0.3333", "x = 0.3334", rtol=1e-6, atol=1e-12)
-    >>> text_difference("x = 0.25 m", "x = -0.25 m", rtol=1e-6, atol=1e-12)
-    'line 1: -0.25, stored 0.25 (difference 0.5, allowed 2.5e-07)'
+    >>> text_difference("x = 0.33333333", "x = 0.33333334", Settings())
+    >>> text_difference("K = 0.97", "K = 0.96", Settings())
+    'line 1: 0.96, stored 0.97 (difference 0.01, allowed 9.7e-06)'
     """
     if stored == new:
         return None
-    old_words, old_numbers = _split(stored)
-    new_words, new_numbers = _split(new)
-    if old_words != new_words:
+    old_words, old_numbers = split_numbers(stored)
+    new_words, new_numbers = split_numbers(new)
+    if plain_spaces(old_words) != plain_spaces(new_words):
         return _words_difference(stored, new)
     messages = []
-    scales = _moduli(old_words, old_numbers, new_numbers)
+    scales = _scales(old_words, old_numbers, new_numbers, beside)
     for a, b, scale in zip(old_numbers, new_numbers, scales, strict=True):
-        allowed = atol + rtol * scale
+        allowed = settings.atol + settings.rtol * max(_modulus(a), _modulus(b)) + RESIDUE * scale
         if not _same(a, b, allowed):
             messages.append(_number_message(a, b, allowed))
+    if not messages:
+        return _places_difference(stored, new)
     more = f"\n... and {len(messages) - _SHOWN} more numbers" if len(messages) > _SHOWN else ""
-    return "\n".join(messages[:_SHOWN]) + more if messages else None
+    return "\n".join(messages[:_SHOWN]) + more
 
 
-def _same(a: _Number, b: _Number, allowed: float) -> bool:
+def cut(text: str, size: int = _CUT) -> str:
+    """A text short enough for a message.
+
+    Parameters
+    ----------
+    text : str
+    size : int
+
+    Returns
+    -------
+    text : str
+        Its beginning, if it is longer.
+    """
+    return text if len(text) <= size else f"{text[: size - 20]}... ({len(text)} characters)"
+
+
+def _same(a: Number, b: Number, allowed: float) -> bool:
     if a.integer and b.integer:
         return a.text.lstrip("+") == b.text.lstrip("+")
     if math.isnan(a.value) or math.isnan(b.value):
         return math.isnan(a.value) and math.isnan(b.value)
     if a.value == b.value:
         return a.integer == b.integer
-    if math.isinf(a.value) or math.isinf(b.value):
-        return False
-    distance = abs(a.value - b.value)
-    if distance <= allowed:
-        return True
-    if a.places == b.places and a.integer == b.integer:
-        unit = max(a.unit, b.unit)
-    elif max(a.digits, b.digits) >= _UNIT_DIGITS:
-        unit = min(a.unit, b.unit)
-    else:
-        return False
-    # The slack is for the subtraction of two decimal numbers in binary.
-    slack = 1.0 + 1e-6
-    modulus = max(abs(a.value), abs(b.value))
-    return distance <= unit * slack and unit <= _UNIT_PART * modulus * slack
+    return abs(a.value - b.value) <= allowed and math.isfinite(allowed)
 
 
-def _number_message(a: _Number, b: _Number, allowed: float) -> str:
-    head = f"line {b.line}: {b.text}, stored {a.text}"
+def _modulus(number: Number) -> float:
+    return abs(number.value) if not math.isnan(number.value) else 0.0
+
+
+def _number_message(a: Number, b: Number, allowed: float) -> str:
+    head = f"line {b.line}: {cut(b.text, 60)}, stored {cut(a.text, 60)}"
     if a.integer and b.integer:
         return f"{head} (integers are exact)"
     if a.value == b.value:
@@ -139,87 +102,120 @@ def _number_message(a: _Number, b: _Number, allowed: float) -> str:
 def _words_difference(stored: str, new: str) -> str:
     old_lines, new_lines = stored.splitlines(), new.splitlines()
     for number, (old, line) in enumerate(zip(old_lines, new_lines, strict=False), start=1):
-        if _split(old)[0] != _split(line)[0]:
-            return f"line {number}: {line!r}\n  stored {old!r}"
+        if old != line and plain_spaces(split_numbers(old)[0]) != plain_spaces(
+            split_numbers(line)[0]
+        ):
+            start = max(len(os.path.commonprefix([old, line])) - 40, 0)  # noqa: RUF071
+            start = start if max(len(old), len(line)) > _CUT else 0
+            return f"line {number}: {cut(line[start:])!r}\n  stored {cut(old[start:])!r}"
     common = min(len(old_lines), len(new_lines))
     extra = (new_lines[common:] or old_lines[common:] or ["(the end of the line)"])[0]
-    return f"{len(new_lines)} lines, stored {len(old_lines)}; from line {common + 1}: {extra!r}"
+    count = f"{len(new_lines)} lines, stored {len(old_lines)}"
+    return f"{count}; from line {common + 1}: {cut(extra)!r}"
 
 
-def _split(text: str) -> tuple[list[str], list[_Number]]:
-    """The words around the numbers, and the numbers: one word more than numbers."""
-    text = _ADDRESS.sub("at 0x...", text.replace("\u2212", "-"))
-    text = _LATEX_COLUMNS.sub("", text)
-    words, numbers, word, position, line = [], [], "", 0, 1
-    for match in _NUMBER.finditer(text):
-        if match["exact"]:
-            continue
-        word = text[position : match.start()]
-        line += word.count("\n")
-        words.append(word)
-        numbers.append(_number(match, line))
-        position = match.end()
-    words.append(text[position:])
-    return _plain_spaces(words), numbers
-
-
-def _number(match: re.Match[str], line: int) -> _Number:
-    text = match["number"].replace(" ", "")
-    sign = -1.0 if text.startswith("-") else 1.0
-    mantissa = match["mantissa"]
-    power = match["power"] or match["hpower"] or match["upower"]
-    if mantissa is None and power is None:
-        return _Number(text, line, sign * float(text.lstrip("+-")), 0, 0, 0.0, False)
-    mantissa = mantissa or "1"
-    exponent = power or match["e"] or match["lexp"] or match["hexp"] or match["uexp"]
-    shift = int(exponent.translate(_SUPERSCRIPTS)) if exponent else 0
-    places = len(mantissa.partition(".")[2])
-    return _Number(
-        text,
-        line,
-        sign * float(f"{mantissa}e{shift}"),
-        places,
-        len(mantissa.replace(".", "").lstrip("0")),
-        float(f"1e{shift - places}"),
-        exponent is None and "." not in mantissa,
-    )
-
-
-def _plain_spaces(words: list[str]) -> list[str]:
+def plain_spaces(words: list[str]) -> list[str]:
     """Words without the spaces that only align numbers, or wrap an array.
 
     Within brackets every white space is one space, none next to a bracket; elsewhere line
     ends stay. Spaces next to a number go.
+
+    Parameters
+    ----------
+    words : list of str
+        What stands around the numbers of a text.
+
+    Returns
+    -------
+    plain : list of str
     """
     depth = 0
     plain = []
     for index, word in enumerate(words):
         out: list[str] = []
-        for character in word:
-            if character in "([":
+        for piece in re.split(r"([\[\](){}])", word):
+            if piece in ("(", "["):
                 depth += 1
-            elif character in ")]":
+            elif piece in (")", "]"):
                 depth = max(depth - 1, 0)
-            out.append(" " if depth and character.isspace() else character)
-        text = re.sub(r"([(\[]) +", r"\1", re.sub(r" +(?=[)\]\n])", "", "".join(out)))
+            elif depth:
+                piece = re.sub(r"\s+", " ", piece)
+            out.append(piece)
+        text = re.sub(r"([(\[]) +", r"\1", re.sub(r" +(?=[)\]\n]|$)", "", "".join(out)))
         text = re.sub(r"\s*,\s+" if depth else r" *, +", ", ", text)
         text = re.sub(r"  +", " ", text)
         if index > 0:
             text = text.lstrip(" ")
-        if index < len(words) - 1:
-            text = text.rstrip(" ")
         plain.append(text)
     return plain
 
 
-def _moduli(words: list[str], old: list[_Number], new: list[_Number]) -> list[float]:
-    """For each number, the modulus its relative tolerance refers to."""
-    moduli = [
-        max((abs(n.value) for n in (a, b) if math.isfinite(n.value)), default=0.0)
-        for a, b in zip(old, new, strict=True)
+def _scales(words: list[str], old: list[Number], new: list[Number], beside: float) -> list[float]:
+    """For each number, the largest one of the array or the complex number it is part of."""
+    both = list(zip(old, new, strict=True))
+    sizes = [
+        max((abs(n.value) for n in pair if math.isfinite(n.value)), default=0.0) for pair in both
     ]
-    for k in range(1, len(moduli)):
+    scales = [beside] * len(sizes)
+    for k in range(1, len(sizes)):
         # 1.2-0.3j: two numbers with nothing between them and a j behind.
         if words[k] == "" and words[k + 1].startswith("j"):
-            moduli[k - 1] = moduli[k] = math.hypot(moduli[k - 1], moduli[k])
-    return moduli
+            scales[k - 1] = scales[k] = max(beside, math.hypot(sizes[k - 1], sizes[k]))
+    depth, members = 0, list[int]()
+    for k, word in enumerate(words):
+        for bracket in re.findall(r"[\[\]]", word):
+            depth = max(depth + (1 if bracket == "[" else -1), 0)
+            if depth == 0:
+                largest = max((sizes[m] for m in members), default=0.0)
+                for m in members:
+                    scales[m] = max(scales[m], largest)
+                members = []
+        if depth and k < len(sizes):
+            members.append(k)
+    return scales
+
+
+def _places_difference(stored: str, new: str) -> str | None:
+    """A value in another column of a table, or a line of words with another indentation."""
+    old_lines, new_lines = stored.splitlines(), new.splitlines()
+    if len(old_lines) != len(new_lines):
+        return None  # an array that wraps differently
+    depth = 0
+    for number, (old, line) in enumerate(zip(old_lines, new_lines, strict=True), start=1):
+        words = not depth and re.match(r" *[^\W\d]", line) and not re.search(r"\S {2,}\S", line)
+        if words and len(old) - len(old.lstrip()) != len(line) - len(line.lstrip()):
+            return f"line {number} has another indentation: {cut(line)!r}\n  stored {cut(old)!r}"
+        depth = max(depth + line.count("[") - line.count("]"), 0)
+    for start, end in _blocks(old_lines):
+        was, now = _columns(old_lines[start:end]), _columns(new_lines[start:end])
+        widest = max(map(len, was))
+        for k, (a, b) in enumerate(zip(was, now, strict=True)):
+            if len(a) == len(b) and len(a) < widest and a != b:
+                place = f"line {start + k + 1} has a value in another column"
+                line, old = new_lines[start + k], old_lines[start + k]
+                return f"{place}: {cut(line)!r}\n  stored {cut(old)!r}"
+    return None
+
+
+def _blocks(lines: list[str]) -> list[tuple[int, int]]:
+    """First and last line of each table: lines with gaps, without a blank one between."""
+    blocks, start = [], 0
+    for k in range(len(lines) + 1):
+        if k == len(lines) or not lines[k].strip():
+            if k - start > 1 and any(re.search(r"\S {2,}\S", line) for line in lines[start:k]):
+                blocks.append((start, k))
+            start = k + 1
+    return blocks
+
+
+def _columns(lines: list[str]) -> list[list[int]]:
+    """For each line of a table, the numbers of the columns that its values stand in."""
+    taken = [False] * max(map(len, lines))
+    for line in lines:
+        for match in re.finditer(r"\S+", line):
+            taken[match.start() : match.end()] = [True] * len(match[0])
+    column, numbers = -1, []
+    for k, filled in enumerate(taken):
+        column += filled and not (k and taken[k - 1])
+        numbers.append(column)
+    return [[numbers[m.start()] for m in re.finditer(r"\S+", line)] for line in lines]
