@@ -67,8 +67,8 @@ from .verdict.distance import distance_to_instability as distance_to_instability
 from .verdict.maps import eigenvalue_map as eigenvalue_map
 from .verdict.report import Mode as Mode
 from .verdict.report import StabilityReport as StabilityReport
-from .verdict.stability import stability as stability
 from .verdict.sample_time import critical_sample_time as critical_sample_time
+from .verdict.stability import stability as stability
 from .verdict.steps import critical_step as critical_step
 
 __version__: str
