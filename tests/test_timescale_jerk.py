@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import doctest
+import pathlib
 import warnings
 
 import numpy as np
@@ -285,3 +287,18 @@ def test_bad_blends(arguments: dict, message: str) -> None:
         sb.Path.through([[0.0, 1.0, 1.0], [0.0, 0.0, 1.0]], **{"kind": "linear", **arguments})
     with pytest.raises(ValueError, match="must differ"):
         sb.Path.through([[1.0, 1.0]], kind="linear", blend=0.1)
+
+
+def test_page_on_own_paths_shows_what_happens(
+    tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = pathlib.Path(__file__).parents[1] / "book" / "time_your_path.md"
+    monkeypatch.chdir(tmp_path)
+    result = doctest.testfile(str(page), module_relative=False)
+    assert result.attempted > 30 and result.failed == 0
+    rows = np.loadtxt(tmp_path / "motion.csv", delimiter=",", skiprows=1)
+    # What a controller gets agrees with itself: velocities are differences of positions.
+    step = np.diff(rows[:, 1:8], axis=0) / 0.001
+    mean = (rows[1:, 8:15] + rows[:-1, 8:15]) / 2
+    assert step == pytest.approx(mean, abs=1e-4)
+    assert (tmp_path / "motion.png").stat().st_size > 10_000

@@ -1,8 +1,9 @@
 """Time scaling: how fast a path can be driven within limits.
 
-`path` and `grid` hold the geometry, `limits` and `torques` the limits, `rows` turns these into
-linear inequalities (with `bernstein`), `stages` solves them by TOPP-RA, `solve` chooses the grid,
-`profile` is the motion found and its audit, `scaling` is the whole, `timed_path` the result.
+`path`, `blend` and `grid` hold the geometry, `limits` and `torques` the limits, `rows` turns these
+into linear inequalities (with `bernstein`), `stages` solves them by TOPP-RA, `solve` chooses the
+grid, `profile` is the motion found and its audit, `jerk` the one with bounded jerk, which
+`jerk_program` finds, `scaling` is the whole, `timed_path` the result.
 """
 
 from statebook.timescale.path import Path

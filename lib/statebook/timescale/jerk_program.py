@@ -33,6 +33,7 @@ _CANDIDATES = np.geomspace(1.0, 1e-10, 250)
 _PENALTY = 100.0  # of what exceeds the limits, where near the last motion none keeps them
 _EXCESS = 1e-5  # part of the limits by which the last one may still exceed them
 _BEND = 1e-9  # part of the slope that counts as p'' = 0
+_WIDEST = 0.5  # margin of a limit, as part of it
 _ROUNDING = 1e-12
 _ATTEMPTS = 5  # to get rid of what is left over a limit between the places of _LOOK
 
@@ -241,7 +242,10 @@ def _certified(
         margin += 1.2 * np.where(over > 0, over + MARGIN, 0.0)
         if not may and attempt:
             margin += 1.5 * (uses.worst.use - 1)
-        motion = _improved(task, stretch, motion, margin)
+        try:
+            motion = _improved(task, stretch, motion, np.minimum(margin, _WIDEST))
+        except InfeasiblePathError:
+            break
     if may:
         return slower
     return profile if factor <= 1 + MARGIN else None

@@ -161,6 +161,7 @@ class Profile:
         return replace(self, x0=self.x0 / factor**2, x1=self.x1 / factor**2)
 
 
+_HIGHEST = 30  # degree of polynomials in powers of time whose coefficients are not rounding
 _SAME = 1e-6  # uses that differ by less are the same use
 
 
@@ -183,6 +184,8 @@ class Use:
     exact : bool
         True if it is the maximum over all time to rounding; False for torques, which are looked
         at on 5 points of each interval.
+        With a jerk limit also False for limits of high degree, as of a tool, which are looked at
+        so in the intervals next to rests.
     """
 
     limit: str
@@ -241,14 +244,16 @@ def audit(profile: Profile, limits: Sequence[Limit]) -> Audit:
     uses: list[Use] = []
     for limit in limits:
         exact = not isinstance(limit, TorqueLimit)
-        found = []
+        found, sure = [], exact
         for part, index, warp, order in profile.parts():
             degree = limit.degree(part.grid) * (2 if limit.norm else 1) * order
-            y = bernstein.nodes(degree) if exact else np.linspace(0, 1, DENSE)
+            known = exact and (order == 1 or degree <= _HIGHEST)
+            sure &= known
+            y = bernstein.nodes(degree) if known else np.linspace(0, 1, DENSE)
             z = warp(y)
             u, x = part.u(z), part.x(z)
             sampled = limit.audited_use(part.grid, z, u, x)
-            highest, places = _maxima(part, limit, y, warp) if exact else (sampled.max((0, 1)), [])
+            highest, places = _maxima(part, limit, y, warp) if known else (sampled.max((0, 1)), [])
             highest = highest + limit.uncertainty(part.grid, z, u, x)
             found.append((sampled, highest, places, index, z))
         for row in range(len(found[0][1])):
@@ -266,7 +271,7 @@ def audit(profile: Profile, limits: Sequence[Limit]) -> Audit:
                     continue
                 first.append((*profile.where(*place), use))
             time, s, _ = min(first)
-            uses.append(Use(limit.kind, row, float(use), time, s, exact))
+            uses.append(Use(limit.kind, row, float(use), time, s, sure))
     return Audit(tuple(uses + profile.further_uses()))
 
 
