@@ -6,7 +6,9 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline, CubicSpline, PPoly
+from scipy.interpolate import CubicHermiteSpline, CubicSpline, PPoly, make_interp_spline
+
+import statebook as sb
 
 
 def curve_of(case: dict[str, Any]) -> PPoly:
@@ -58,6 +60,38 @@ def random_cases(count: int, seed: int) -> list[dict[str, Any]]:
             }
         )
     return cases
+
+
+def strange_path(seed: int) -> tuple[str, sb.Path, tuple[np.ndarray, np.ndarray]]:
+    """Draw a path that is hard to time, and limits of all sizes; a motion exists always."""
+    rng = np.random.default_rng(seed)
+    dof, count = int(rng.integers(1, 8)), int(rng.integers(2, 40))
+    points = rng.normal(size=(dof, count)) * 10 ** rng.uniform(-3, 3)
+    kind = ("polyline", "repeats", "chord", "hermite", "degree", "straight")[seed % 6]
+    if kind in ("repeats", "chord", "straight"):
+        where = rng.integers(0, count, int(rng.integers(1, 4)))
+        noise = 10 ** rng.uniform(-16, -6) * rng.normal(size=(dof, len(where)))
+        points = np.insert(points, where, points[:, where] + noise * np.abs(points).max(), axis=1)
+    if kind == "straight":
+        points = np.outer(rng.normal(size=dof), rng.normal(size=points.shape[1]).cumsum())
+    if kind in ("polyline", "straight"):
+        path = sb.Path.through(points, kind="linear")
+    elif kind == "repeats":
+        path = sb.Path.through(points, kind=("cubic", "linear")[seed % 2])
+    elif kind == "chord":
+        steps = np.linalg.norm(np.diff(points), axis=0)
+        path = sb.Path.through(points, s=np.concatenate([[0], np.cumsum(steps + 1e-12 * steps.sum())]))
+    elif kind == "hermite":
+        s = np.cumsum(10 ** rng.uniform(-4, 1, count))
+        slopes = rng.normal(size=(count, dof)) * np.abs(points).max() * 10 ** rng.uniform(-2, 2)
+        path = sb.Path(CubicHermiteSpline(s, points.T, slopes))
+    else:
+        degree = int(rng.integers(1, 10))
+        number = max(degree + 1, min(count, 15))
+        points = rng.normal(size=(dof, number)) * 10 ** rng.uniform(-3, 3)
+        path = sb.Path(make_interp_spline(np.linspace(0, 1, number), points.T, k=degree))
+    size = 10 ** rng.uniform(-4, 4, (2, dof, 2)) * np.array([-1.0, 1.0])
+    return kind, path, (size[0], size[1])
 
 
 def other_units(case: dict[str, Any]) -> Iterator[tuple[dict[str, Any], float]]:

@@ -26,18 +26,25 @@ def exact_violation(timed: sb.TimedPath, curve: PPoly, v: np.ndarray, a: np.ndar
     tried on others; so q'' and q'^2 are polynomials of s, and q' is extreme where q'' vanishes.
     """
     t0, t1 = timed.times[:-1], timed.times[1:]
-    use = t1 > t0
-    t0, t1, h, s0 = t0[use], t1[use], np.diff(timed.s)[use], timed.s[:-1][use]
-    x0, x1 = timed.sdot[:-1][use] ** 2, timed.sdot[1:][use] ** 2
-    start, middle = timed.progress(t0)[2], (t0 + t1) / 2
-    s, _, rate = timed.progress(middle)
-    slant = (rate - start) / (s - s0)  # s'' is linear in s
-    u = [start, slant * h]  # powers of z = (s - s0) / h
-    x = [x0, 2 * h * start, slant * h**2]
-    assert np.all(np.abs(x[0] + x[1] + x[2] - x1) < 1e-9 * np.maximum(x0, x1))
-    s, speed, _ = timed.progress(t0 + 0.3 * (t1 - t0))
-    z = (s - s0) / h
-    assert np.all(np.abs(x[0] + z * (x[1] + z * x[2]) - speed**2) < 1e-9 * np.maximum(x0, x1))
+    # From three instants inside each interval: at its ends s' may jump.
+    (s, v, u), (sm, vm, um), (se, ve, ue) = (
+        timed.progress(t0 + part * (t1 - t0)) for part in (0.1, 0.5, 0.9)
+    )
+    knot = np.searchsorted(curve.x, sm, side="right") - 1
+    start, end = timed.s[:-1], timed.s[1:]
+    use = (se > s) & (t1 > t0)
+    s0 = np.maximum(start, curve.x[np.clip(knot, 0, len(curve.x) - 2)])[use]
+    h = np.minimum(end, curve.x[np.clip(knot + 1, 1, len(curve.x) - 1)])[use] - s0
+    s, v, u, sm, vm, um, se, ve, ue = (y[use] for y in (s, v, u, sm, vm, um, se, ve, ue))
+    slant = (ue - u) / (se - s)  # s'' is linear in s
+    rate = u + slant * (s0 - s)
+    u = [rate, slant * h]  # powers of z = (s - s0) / h
+    first = v**2 - 2 * rate * (s - s0) - slant * (s - s0) ** 2
+    x = [np.maximum(first, 0.0), 2 * h * rate, slant * h**2]
+    size = np.maximum(np.maximum(v, vm), ve) ** 2
+    for place, speed in ((sm, vm), (se, ve)):
+        z = (place - s0) / h
+        assert np.all(np.abs(x[0] + z * (x[1] + z * x[2]) - speed**2) < 1e-7 * size)
     slope = [curve(s0, k + 1).T * h ** (k + 1) / math.factorial(k) for k in range(len(curve.c) - 1)]
     acceleration = [m / h**2 for m in product(derivative(slope), x)]
     for k, m in enumerate(product(slope, u)):

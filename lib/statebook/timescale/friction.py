@@ -64,7 +64,8 @@ def friction_form(
     parts = np.linalg.solve(powers[some], torques[some].reshape(3, -1))
     sizes = powers[:, :, None] * np.abs(parts)
     allowed = max(_FORM, 10 * noise) * sizes.sum(axis=1).max(axis=1) + 1e-300
-    allowed += max(1e-12, 10 * noise) * np.abs(static).max()
+    # Noise in the term of one speed is magnified at higher ones.
+    allowed += (1e-12 + 10 * noise * np.maximum(speeds, 1)) * np.abs(static).max()
     off = np.abs(powers @ parts - torques.reshape(len(speeds), -1)).max(axis=1)
     if np.any(off > allowed):
         raise ValueError(

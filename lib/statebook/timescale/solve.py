@@ -114,8 +114,9 @@ def _slopes(profile: Profile) -> tuple[np.ndarray, np.ndarray]:
 
 PASSES = 8  # of splitting for torques
 _GAIN = 4.0  # a refinement divides the time lost by about so much
-_WORK = 4e6  # intervals times rows that are solved in all, at most
-_OVERHEAD = 40  # of an interval, in rows
+_WORK = 2500.0  # rows that are solved in all for each interval of a first grid, at most
+_SMALLEST = 1000  # intervals: a smaller first grid counts as one of these
+_OVERHEAD = 110  # of an interval, in rows
 _LARGEST_NARROWING = 1e-5  # of controllable sets against rounding
 _RANGE = 1e3  # of s'^2 in an interval, beyond which its smaller end gives the scale
 _SEARCH = 6000  # intervals of the finest grid on which a first solution is looked for
@@ -136,7 +137,8 @@ def fastest(limits: Sequence[Limit], grid: Grid, tolerance: float) -> tuple[Prof
     _require_bounded(limits, grid)
     rows = sum(2 * len(limit.upper) * (limit.degree(grid) + 1) for limit in limits)
     curvature = np.zeros(len(grid.h))
-    best, least, work = None, 0.0, 0.0
+    best, least = None, 0.0
+    work = _WORK * max(len(grid.h), _SMALLEST)
     while True:
         top = ceiling(limits, grid)
         least = max(least, top.duration)
@@ -150,8 +152,8 @@ def fastest(limits: Sequence[Limit], grid: Grid, tolerance: float) -> tuple[Prof
                 raise
             x = np.maximum(top.x, 1e-300)
             guide = Profile(grid, *x, np.zeros(len(grid.h)), np.stack([0 * x.T, x.T]))
-        work += len(grid.h) * (_OVERHEAD + rows)
-        if best is not None and (least >= best.duration * (1 - tolerance) or work > _WORK):
+        work -= len(grid.h) * (_OVERHEAD + rows)
+        if best is not None and (least >= best.duration * (1 - tolerance) or work < 0):
             return best, least
         grid, curvature = refine(limits, guide, stuck=guide is not best and best is None)
 

@@ -18,11 +18,13 @@ from statebook.timescale.limits import TorqueLimit
 from statebook.timescale.path import Path
 
 _SAMPLES = 5
+_CALLS = 8  # at one place, which show whether the function repeats itself
 _FORM = 1e-7  # part of the motion's torques by which the form may be missed
 _DEGREE = 7  # in s, of the polynomials that stand for the torques
 _FIT = 1e-7  # part of their largest value, or of the bounds, by which they may be missed
 _NOISE = 1e-4  # part of the bounds that the function's noise may reach
 _JUMP = 1e-2  # part of the bounds that is left beside a jump
+_LARGEST_MARGIN = 2e-3  # part of the bounds that may be left to errors
 _CELLS = 16  # pieces of the path, at least, in which torques are looked at
 _PROBES = np.array([0.0371, 0.2113, 0.3719, 0.5471, 0.6817, 0.8353, 0.9581])  # in each of these
 _ROUNDS = 12
@@ -108,7 +110,7 @@ def fitted_torques(limit: TorqueLimit, path: Path, tolerance: float) -> TorqueLi
         middle = (knots[bad] + knots[bad + 1]) / 2
         cells = np.unique(np.concatenate([cells, knots[bad], knots[bad + 1], middle]))
     margin = _SAFETY * float(error.max())
-    if margin > _JUMP:
+    if margin > _LARGEST_MARGIN:
         raise ValueError(
             "inverse_dynamics must be smooth along the path: polynomials miss its torques by "
             f"{error.max():.2g} of their bounds everywhere, which is noise; smooth them first"
@@ -167,7 +169,7 @@ class _Forms:
 def _rows(function: Callable[..., Any], q: np.ndarray) -> tuple[int, float]:
     """Return the number of rows of the function's values, and their relative noise."""
     still = np.zeros_like(q[:, 0])
-    values = [np.array(function(q[:, 0].copy(), still.copy(), still.copy())) for _ in range(2)]
+    values = [np.array(function(q[:, 0].copy(), still.copy(), still.copy())) for _ in range(_CALLS)]
     value = values[0]
     if value.ndim != 1 or value.dtype.kind not in "iuf":
         raise ValueError(
@@ -175,11 +177,11 @@ def _rows(function: Callable[..., Any], q: np.ndarray) -> tuple[int, float]:
             f"got shape {value.shape} of {value.dtype}"
         )
     size = max(float(np.abs(value).max(initial=0.0)), 1e-300)
-    noise = float(np.abs(values[1] - value).max(initial=0.0)) / size
+    noise = float(np.ptp(values, axis=0).max(initial=0.0)) / size
     if noise > _JUMP:
         raise ValueError(
-            "inverse_dynamics must depend on its arguments alone: two calls at the same q, at rest,"
-            f" differ by {noise:.2g} of the torque, which is noise; smooth it first"
+            "inverse_dynamics must depend on its arguments alone: calls at the same q, at rest, "
+            f"differ by {noise:.2g} of the torque, which is noise; smooth it first"
         )
     rounding = np.finfo(value.dtype).eps if value.dtype.kind == "f" else 0.0
     return len(value), max(3 * noise, float(rounding))
