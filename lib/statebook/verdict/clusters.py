@@ -14,6 +14,8 @@ from statebook.verdict.level_sets import boundary_distance, margin, project
 TINY = float(np.finfo(float).tiny)
 # A Jordan coupling this many times above rounding is beyond doubt.
 _CLEAR = 1e3
+# Unit eigenvectors are independent if each has this share that the others do not have.
+_INDEPENDENT = 1e-3
 # Neighbours whose distances agree to this are equally near.
 _AS_NEAR = 1 + 1e-6
 
@@ -163,8 +165,12 @@ def separated(block: Block, tol: float, margins: np.ndarray) -> tuple[np.ndarray
 
 def _invariant(block: Block, members: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Orthonormal basis of the invariant subspace of some eigenvalues, and T on it."""
-    T, Q = _leading(block, members)
     p = len(members)
+    V, R = np.linalg.qr(block.modes[0][:, members])
+    if np.abs(R.diagonal()).min() > _INDEPENDENT:
+        return block.Q @ V, np.triu(R * block.T.diagonal()[members] @ np.linalg.inv(R))
+    # Eigenvectors do not span it, or not well: the Schur form does.
+    T, Q = _leading(block, members)
     return Q[:, :p], T[:p, :p]
 
 

@@ -83,8 +83,9 @@ def judge(
                 _too_close(A[np.ix_(index, index)], discrete, precision)
                 for index in weak_components(A)
             )
-            # Where the distance proves it the margin is no less certain.
-            tolerance = (max if doubt else min)(tolerance, size)
+            tolerance = max(tolerance, size) if doubt else tolerance
+    if not doubt and size != 0:
+        tolerance = min(tolerance, abs(size))  # the sign is certain, however loose the bound
     there = np.array(jordan) if jordan else values[margins == size]
     reason = explain(verdict, there, size, tolerance, values, discrete)
     if doubt:
