@@ -25,7 +25,7 @@ from statebook.timescale.path import Path
 from statebook.timescale.profile import Profile
 
 _FORM = 1e-7  # part of the torques by which the form may be missed
-_WINDOW = 1e-7  # part of the path beside a rest that counts as being there
+_WINDOW = 1e-9  # part of the path beside a rest that counts as being there
 _IDLE = 1e8  # times the scale of a bound stands for none
 _BAND = 0.03  # relative change of s'^2 for which the lines are made
 DRAG_LOSS = _BAND**2 / 8  # of the time, at most, where drag takes all the torque
@@ -105,7 +105,9 @@ def at_rest(limit: TorqueLimit, path: Path, windows: np.ndarray) -> TorqueLimit:
     inside = given if limit.along is None else limit.along(middle[resting])
     bounds[resting] = np.clip(np.where(np.isfinite(given), inside, none), -abs(none), abs(none))
     along = scipy.interpolate.PPoly(bounds[None], knots)
-    return replace(limit, kind="torque at rest", sliding=False, along=along)
+    return replace(
+        limit, kind="torque at rest", sliding=False, along=along, loss=float(np.sqrt(_WINDOW))
+    )
 
 
 def first_speed(limit: TorqueLimit, grid: Grid) -> np.ndarray:

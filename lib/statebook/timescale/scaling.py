@@ -16,7 +16,7 @@ from statebook.errors import InfeasiblePathError
 from statebook.timescale.bounds import require_joints
 from statebook.timescale.ceiling import ceiling
 from statebook.timescale.ends import Pauses, read_dwell, speed_at_end, take
-from statebook.timescale.friction import at_rest, rests, reversals, settle
+from statebook.timescale.friction import at_rest, rests, settle
 from statebook.timescale.grid import Grid, lay_grid
 from statebook.timescale.jerk import read_jerk, stop_at_bends
 from statebook.timescale.jerk_program import limit_jerk
@@ -156,8 +156,6 @@ def time_scale(
     cuts += [limit.fitted.x for limit in limits if isinstance(limit, TorqueLimit)]
     halts = path.waypoint_s[pauses > 0]
     dry = [one for one in limits if isinstance(one, TorqueLimit) and one.friction[0]]
-    if dry:
-        cuts.append(reversals(path))
     laid = partial(lay_grid, path, start_speed, end_speed, _COARSE, halts=halts)
     grid, stops, skipped = laid(cuts=np.concatenate([[], *cuts]))
     if dry:
@@ -176,9 +174,10 @@ def time_scale(
         grid, bends = stop_at_bends(grid)
         stops = tuple(sorted((*stops, *bends)))
     try:
-        enough = max(tolerance, *(1.5 * limit.blur for limit in limits))
+        loss = max(limit.loss for limit in limits)
+        enough = max(tolerance - loss, tolerance / 4, *(1.5 * limit.blur for limit in limits))
         limits, profile, least = settle(limits, partial(fastest, grid=grid, tolerance=enough))
-        least *= 1 - max(limit.loss for limit in limits)
+        least *= 1 - loss
         profile = _within_limits(limits, profile)
         if jerk is not None:
             profile, least = limit_jerk(limits, bounds, profile, tolerance)
@@ -243,10 +242,13 @@ def _check_place(grid: Grid, limits: Sequence[Limit], s: float, cause: str, spee
             use = limit.use(grid, middle, np.zeros_like(x), x)[0, 0]
             row = int(use.argmax())
             if use[row] > 1 + MARGIN:
-                value = limit.values(grid, middle, np.zeros_like(x), x)[0, 0, row]
                 if limit.squared:
-                    value = limit.motion(grid, middle, 1)[0, 0, row]
-                name = limit.name(row, "upper" if value > 0 else "lower")
+                    above = limit.motion(grid, middle, 1)[0, 0, row] > 0
+                else:
+                    lower, upper = (np.ravel(bound)[row] for bound in limit.bounds(grid, middle))
+                    value = limit.values(grid, middle, np.zeros_like(x), x)[0, 0, row]
+                    above = value - upper > lower - value
+                name = limit.name(row, "upper" if above else "lower")
                 raise InfeasiblePathError(
                     f"{cause} must keep the limits: it uses {use[row]:.4g} times the {name} at "
                     f"s = {s:g}",

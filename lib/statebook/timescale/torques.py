@@ -80,8 +80,7 @@ def fitted_torques(limit: TorqueLimit, path: Path, tolerance: float) -> TorqueLi
     assert limit.dynamics is not None
     forms = _Forms(limit, path)
     cells = np.union1d(path.curve.x, np.linspace(path.s_start, path.s_end, _CELLS + 1)[1:-1])
-    if limit.friction[0]:
-        cells = np.union1d(cells, reversals(path))
+    cells = np.union1d(cells, reversals(path))  # friction jumps there, or bends
     for _ in range(_ROUNDS):
         found = fit(forms, cells, _DEGREE, tolerance, (0,), stall=_NOISE, floor=1.0)
         knots = found.curve.x
