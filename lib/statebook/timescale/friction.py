@@ -31,6 +31,7 @@ _BAND = 0.03  # relative change of s'^2 for which the lines are made
 DRAG_LOSS = _BAND**2 / 8  # of the time, at most, where drag takes all the torque
 _REST = 1e-6  # part of the largest s'^2 in an interval that is none
 _ROUNDS = 12
+_LOOSE = 0.03  # tolerance of the first rounds
 _LOOK = np.array([1e-9, 0.25, 0.5, 0.75, 1 - 1e-9])  # in intervals
 
 
@@ -110,8 +111,8 @@ def at_rest(limit: TorqueLimit, path: Path, windows: np.ndarray) -> TorqueLimit:
     )
 
 
-def first_speed(limit: TorqueLimit, grid: Grid) -> np.ndarray:
-    """Return a guess of s'^2 (5, N): viscous friction takes a quarter of what torque there is."""
+def _first_speed(limit: TorqueLimit, grid: Grid) -> np.ndarray:
+    """Guess s'^2 (5, N): viscous friction takes a quarter of what torque there is."""
     _, _, c, dry, drag = limit.parts(grid, _LOOK)
     lower, upper = limit.bounds(grid, _LOOK)
     room = np.minimum(upper - c - dry, c + dry - lower)
@@ -121,7 +122,7 @@ def first_speed(limit: TorqueLimit, grid: Grid) -> np.ndarray:
     return np.where(np.isfinite(speed), speed, 1.0) ** 2
 
 
-def speed_of(profile: Profile, grid: Grid) -> np.ndarray:
+def _speed_of(profile: Profile, grid: Grid) -> np.ndarray:
     """Return s'^2 (5, N) of a motion on another grid of the same path."""
     start, end = profile.grid.s_at(np.array([0.0, 1.0]))
     s = grid.s_at(_LOOK)
@@ -157,15 +158,18 @@ def _band(x: np.ndarray) -> np.ndarray:
 
 
 def settle(
-    limits: Sequence[Limit], solve: Callable[[Sequence[Limit]], tuple[Profile, float]]
+    limits: Sequence[Limit],
+    tolerance: float,
+    solve: Callable[[Sequence[Limit], float], tuple[Profile, float]],
 ) -> tuple[list[Limit], Profile, float]:
     """Solve, with viscous friction linearized about the last motion, until the motion stays.
 
     Parameters
     ----------
     limits : sequence of Limit
+    tolerance : float
     solve : callable
-        Limits to the fastest motion and a bound on its time from below.
+        Limits and a tolerance to the fastest motion and a bound on its time from below.
 
     Returns
     -------
@@ -178,16 +182,18 @@ def settle(
     current = list(limits)
     viscous = [one for one in current if isinstance(one, TorqueLimit) and one.friction[1]]
     if not viscous:
-        return current, *solve(current)
-    speed = partial(first_speed, viscous[0])
-    for _ in range(_ROUNDS):
-        lines = partial(_lines, speed)
-        current = [replace(one, lines=lines) if one in viscous else one for one in limits]
-        profile, least = solve(current)
-        x, (low, high) = profile.x(_LOOK), _band(speed(profile.grid))
-        if np.all((x >= low) & (x <= high)):
-            break
-        speed = partial(speed_of, profile)
+        return current, *solve(current, tolerance)
+    speed: Callable[[Grid], np.ndarray] = partial(_first_speed, viscous[0])
+    for first in (True, False):
+        for _ in range(_ROUNDS):
+            lines = partial(_lines, speed)
+            current = [replace(one, lines=lines) if one in viscous else one for one in limits]
+            profile, least = solve(current, max(tolerance, _LOOSE) if first else tolerance)
+            x, (low, high) = profile.x(_LOOK), _band(speed(profile.grid))
+            speed = partial(_speed_of, profile)
+            near = (x >= low) & (x <= high)
+            if near.all() or (first and near.mean() > 0.9):
+                break
     return current, profile, least
 
 

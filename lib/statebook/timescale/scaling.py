@@ -176,7 +176,9 @@ def time_scale(
     try:
         loss = max(limit.loss for limit in limits)
         enough = max(tolerance - loss, tolerance / 4, *(1.5 * limit.blur for limit in limits))
-        limits, profile, least = settle(limits, partial(fastest, grid=grid, tolerance=enough))
+        limits, profile, least = settle(
+            limits, enough, lambda given, tolerance: fastest(given, grid, tolerance)
+        )
         least *= 1 - loss
         profile = _within_limits(limits, profile)
         if jerk is not None:
