@@ -12,19 +12,22 @@ from statebook.timescale.path import Path
 
 _CELLS = 64  # a function of s is looked at in at least so many pieces
 _DEGREE = 3  # of the polynomials that stand for it
-MISFIT = 1e-4  # part of a bound by which these may be lower
+_MISFIT = 1e-4  # part of a bound by which these may be lower
+_NEVER = 1e100  # stands for infinity where a row has no other bound
 _NO_BOUND = 1e8  # times the largest bound of a row stands for infinity beside finite bounds
 
 
 class Bounds(NamedTuple):
     """Bounds on R rows: the widest along the path, and how they vary if they do.
 
-    `along` is a piecewise polynomial of s with 2 R columns, the lower bounds first.
+    `along` is a piecewise polynomial of s with 2 R columns, the lower bounds first; `loss` the
+    part of the bounds that it may be lower.
     """
 
     lower: np.ndarray
     upper: np.ndarray
     along: Any = None
+    loss: float = 0.0
 
 
 def read_bounds(name: str, value: Any, rows: int, path: Path, around_zero: bool = True) -> Bounds:
@@ -61,12 +64,14 @@ def read_bounds(name: str, value: Any, rows: int, path: Path, around_zero: bool 
             lambda s: np.clip([at(si) for si in s], -reach, reach),
             cells,
             _DEGREE,
-            MISFIT,
+            _MISFIT,
             (0,),
             rough=True,
         )
-        found.curve.c[-1] += np.repeat([1.0, -1.0], rows) * found.error[0]
-        return Bounds(widest[:rows], widest[rows:], found.curve)
+        error = found.error[0]
+        found.curve.c[-1] += np.repeat([1.0, -1.0], rows) * error
+        loss = 2 * float((error / np.maximum(np.abs(found.curve.c[-1]), error)).max())
+        return Bounds(widest[:rows], widest[rows:], found.curve, loss)
     given, knots = _numbers(name, value), path.waypoint_s
     count = len(knots)
     if given.shape == (count,) and rows == 1 != count:
@@ -95,8 +100,9 @@ def _reach(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     widest = np.concatenate([values[:, :rows].min(axis=0), values[:, rows:].max(axis=0)])
     finite = np.isfinite(values)
     largest = np.where(finite, np.abs(values), 0.0).max(axis=0)
-    reach = _NO_BOUND * np.where(largest > 0, largest, 1.0)
-    return np.where(finite.any(axis=0), np.clip(widest, -reach, reach), widest), reach
+    bounded = finite.any(axis=0)
+    reach = np.where(bounded, _NO_BOUND * largest, _NEVER)
+    return np.where(bounded, np.clip(widest, -reach, reach), widest), reach
 
 
 def _numbers(name: str, value: Any) -> np.ndarray:

@@ -15,6 +15,7 @@ from statebook.timescale.path import horner
 
 _DEPTH = 14  # halvings of a piece
 _MOST = 4000  # pieces that are halved at a time
+_RIPPLES = 200  # of those with jumps or kinks; more are ripples
 _SPARE = 2  # Chebyshev coefficients beyond the degree, which show the error
 _SAFETY = 3.0  # on the error, for the coefficients that were not looked at
 _STALLED = 0.5  # halving a piece makes the error of a smooth function much smaller than this
@@ -121,7 +122,8 @@ def fit(
             shifted = _expanded(before[1], start - before[2])
             coefficients = np.where(noisy[:, None], shifted, coefficients)
             error = np.where(noisy, before[0], error)
-        unfinished = open_.any(axis=(0, 2)) & (depth < _DEPTH) & (len(start) < _MOST)
+        go_on = depth < _DEPTH and len(start) < (_RIPPLES if rough else _MOST)
+        unfinished = open_.any(axis=(0, 2)) & go_on
         done.append((start[~unfinished], coefficients[~unfinished], error[:, ~unfinished]))
         if not unfinished.any():
             break

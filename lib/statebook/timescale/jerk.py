@@ -220,7 +220,7 @@ def read_jerk(jerk: Any, path: Path, grid: Grid) -> tuple[np.ndarray, np.ndarray
     TypeError, ValueError
         They are none, vary along the path, or are 0 for a joint that moves.
     """
-    lower, upper, along = read_bounds("jerk", jerk, path.dof, path)
+    lower, upper, along, _ = read_bounds("jerk", jerk, path.dof, path)
     if along is not None:
         raise ValueError(
             "jerk must be the same all along the path: a number, or one or two per joint"

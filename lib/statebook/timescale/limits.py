@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from statebook.timescale.bounds import MISFIT, read_bounds
+from statebook.timescale.bounds import read_bounds
 from statebook.timescale.curves import on_grid
 from statebook.timescale.grid import Grid
 from statebook.timescale.path import Path
@@ -82,12 +82,8 @@ class Limit(ABC):
         """Return the bounds at fractions z of the intervals, (R,) or (K, N, R)."""
         if self.along is None:
             return self.lower, self.upper
-        values = on_grid(self.along, grid, z, 0)
-        lower, upper = np.split(values, 2, axis=2)
-        return (
-            np.where(np.isfinite(self.lower), lower, -np.inf),
-            np.where(np.isfinite(self.upper), upper, np.inf),
-        )
+        lower, upper = np.split(on_grid(self.along, grid, z, 0), 2, axis=2)
+        return lower, upper
 
     def room(self, grid: Grid) -> np.ndarray | float:
         """Return the part of the bounds that the rows leave to errors, (1, N, R) or a number."""
@@ -381,9 +377,7 @@ def kinematic_limits(
         ("acceleration_norm", acceleration_norm, 1, AccelerationNormLimit, "norm of acceleration"),
     ):
         if value is not None:
-            lower, upper, along = read_bounds(name, value, rows, path)
-            loss = MISFIT if callable(value) else 0.0
-            limits.append(limit(kind, lower, upper, along=along, loss=loss))
+            limits.append(limit(kind, **read_bounds(name, value, rows, path)._asdict()))
     return limits
 
 

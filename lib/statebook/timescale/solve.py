@@ -195,7 +195,8 @@ def _require_bounded(limits: Sequence[Limit], grid: Grid) -> None:
     for limit in limits:
         a, _, _ = limit.terms(grid, z, np.ones(len(grid.h)))
         if a is not None:
-            lower, upper = (np.isfinite(bound) | limit.norm for bound in limit.bounds(grid, z))
+            ends = (limit.lower, limit.upper)
+            lower, upper = (np.isfinite(bound) | limit.norm for bound in ends)
             for i, (up, down) in enumerate(((upper, lower), (lower, upper))):
                 bounded[i] |= (np.where(a > 0, up, down) & (a != 0)).any(axis=(0, 2))
     if not bounded.all():

@@ -9,7 +9,7 @@ import numpy as np
 
 from statebook import _validate
 from statebook.probes import takes_batches
-from statebook.timescale.bounds import MISFIT, read_bounds
+from statebook.timescale.bounds import read_bounds
 from statebook.timescale.curves import Fit, fit
 from statebook.timescale.limits import (
     AccelerationLimit,
@@ -66,17 +66,14 @@ def tool_limits(path: Path, speed: Any, acceleration: Any, kinematics: Any) -> l
         if value is None:
             continue
         rows, kind = _rows(value, axes, path), norm if _rows(value, axes, path) == 1 else each
-        lower, upper, along = read_bounds(name, value, rows, path)
+        bounds = read_bounds(name, value, rows, path)
         limits.append(
             kind(
                 name.replace("_", " "),
-                lower,
-                upper,
-                along=along,
+                **bounds._asdict(),
                 curve=found.curve,
                 slip=np.linalg.norm(slip, axis=1, keepdims=True) if rows == 1 else slip,
                 margin=2 * off,
-                loss=MISFIT if callable(value) else 0.0,
             )
         )
     return limits

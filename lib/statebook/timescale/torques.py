@@ -11,7 +11,7 @@ import scipy
 
 from statebook.errors import InfeasiblePathError
 from statebook.probes import takes_batches
-from statebook.timescale.bounds import MISFIT, read_bounds
+from statebook.timescale.bounds import read_bounds
 from statebook.timescale.curves import fit
 from statebook.timescale.friction import DRAG_LOSS, friction_form, reversals
 from statebook.timescale.limits import TorqueLimit
@@ -56,10 +56,11 @@ def torque_limit(path: Path, torque: Any, inverse_dynamics: Any) -> TorqueLimit:
     q, slope = path(s), path(s, 1)
     rows, noise = _rows(inverse_dynamics, q)
     dynamics = _vectorized(inverse_dynamics, q, slope, rows, noise)
-    lower, upper, along = read_bounds("torque", torque, rows, path, around_zero=False)
+    given = read_bounds("torque", torque, rows, path, around_zero=False)
     _check_form(dynamics, q, slope, noise)
     friction = friction_form(dynamics, q, slope, noise)
-    loss = (MISFIT if callable(torque) else 0.0) + (DRAG_LOSS if friction[1] else 0.0)
+    lower, upper, along, loss = given
+    loss += DRAG_LOSS if friction[1] else 0.0
     bounds = TorqueLimit("torque", lower, upper, dynamics, None, friction, along=along, loss=loss)
     return fitted_torques(bounds, path, _FIT)
 
