@@ -56,7 +56,7 @@ def test_coulomb_friction_shifts_the_load(dry: float, mass: float) -> None:
 
 
 def quadratic_drag(k: float) -> float:
-    """Least time over a distance of 1 with abs(a + k v |v|) <= 1: x' = 2 (1 - k x), -2 (1 + k x)."""
+    """Least time over 1 with abs(a + k v |v|) <= 1: x' = 2 (1 - k x), then -2 (1 + k x)."""
 
     def up(s: float) -> float:
         return (1 - np.exp(-2 * k * s)) / k

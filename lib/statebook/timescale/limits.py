@@ -133,12 +133,11 @@ class Limit(ABC):
         """Return the part of the bounds by which a fitted motion may be off, (R,)."""
         if self.slip is None:
             return 0.0
-        first, second = self.slip
         lower, upper = self.bounds(grid, z)
         if self.squared:
-            off = first * np.sqrt(x)[:, :, None]
+            off = self.slip[0] * np.sqrt(x)[:, :, None]
         else:
-            off = first * np.abs(u)[:, :, None] + second * x[:, :, None]
+            off = self.slip[0] * np.abs(u)[:, :, None] + self.slip[1] * x[:, :, None]
         return np.asarray((off / np.minimum(upper, -lower)).max(axis=(0, 1)))
 
     def follow(

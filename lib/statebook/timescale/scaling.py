@@ -261,20 +261,20 @@ def _check_place(grid: Grid, limits: Sequence[Limit], s: float, cause: str, spee
 
 def _within_limits(limits: Sequence[Limit], profile: Profile) -> Profile:
     """Audit the profile; slow it down by the rounding that is left, leave more room for torques."""
-    torques = [limit for limit in limits if isinstance(limit, TorqueLimit)]
-    if not torques:
+    if not any(isinstance(limit, TorqueLimit) for limit in limits):
         factor = max(use.factor for use in audit(profile, limits))
         return profile.slower(factor * (1 + _ROUNDING)) if factor > 1 else profile
     for attempt in range(PASSES):
         excess = audit(profile, limits).worst.use - 1
         if excess <= MARGIN:
             return profile
-        if attempt:  # the polynomials miss the torques by more than was seen
+        if attempt:  # polynomials miss the torques, or a tool, by more than was seen
             limits = [
-                replace(one, margin=one.margin + 2 * excess) if one in torques else one
+                replace(one, margin=one.margin + 2 * excess)
+                if isinstance(one, TorqueLimit) or one.slip is not None
+                else one
                 for one in limits
             ]
-            torques = [limit for limit in limits if isinstance(limit, TorqueLimit)]
         grid = profile.grid
         profile = solve(limits, grid, profile.curvature, ceiling(limits, grid).x)
     worst = audit(profile, limits).worst

@@ -52,10 +52,10 @@ def tool_limits(path: Path, speed: Any, acceleration: Any, kinematics: Any) -> l
         )
     if kinematics is None:
         return []
-    found = _fit_tool(path, kinematics)
+    found = _fit_tool(path, kinematics, (1,) if acceleration is None else (1, 2))
     axes = found.curve.c.shape[2]
     spread = np.ptp(path.curve.x)
-    size = np.maximum(found.scale, found.scale[:1].max() / [[1.0], [spread]])
+    size = np.maximum(found.scale, found.scale[0].max() / [[1.0], [spread]][: len(found.scale)])
     slip = found.error.max(axis=1)
     off = np.divide(slip, size, out=np.zeros_like(slip), where=size > 0).max()
     limits: list[Limit] = []
@@ -89,8 +89,8 @@ def _rows(value: Any, axes: int, path: Path) -> int:
     return axes if len(shape) > 1 or shape[0] == axes else 1
 
 
-def _fit_tool(path: Path, kinematics: Callable[..., Any]) -> Fit:
-    """Fit polynomials of s to the tool's position."""
+def _fit_tool(path: Path, kinematics: Callable[..., Any], orders: tuple[int, ...]) -> Fit:
+    """Fit polynomials of s to the tool's position, for these of its derivatives."""
     if not callable(kinematics):
         raise TypeError(f"forward_kinematics must be a function q -> position, got {kinematics!r}")
 
@@ -112,14 +112,14 @@ def _fit_tool(path: Path, kinematics: Callable[..., Any]) -> Fit:
             ).T
         return np.array([alone(column) for column in q.T])
 
-    found = fit(position, path.curve.x, _DEGREE, _TOLERANCE, (1, 2))
-    size = max(found.scale[1].max(), found.scale[0].max() / np.ptp(s), 1e-300)
-    off = found.error[1].max(axis=1) / size
+    found = fit(position, path.curve.x, _DEGREE, _TOLERANCE, orders)
+    size = max(found.scale[-1].max(), found.scale[0].max() / np.ptp(s) ** (len(orders) - 1), 1e-300)
+    off = found.error[-1].max(axis=1) / size
     if off.max() > _SMOOTH:
         first, last = found.curve.x[off.argmax() + np.arange(2)]
         raise ValueError(
-            "forward_kinematics must be smooth, with two derivatives along the path, and without "
-            f"noise; between s = {first:.6g} and {last:.6g} its second derivative is known to "
+            f"forward_kinematics must be smooth, with derivatives up to order {orders[-1]} along the "
+            f"path, and without noise; between s = {first:.6g} and {last:.6g} that one is known to "
             f"{off.max():.1g} of its size only"
         )
     return found
