@@ -187,7 +187,8 @@ def summarize(rows: np.ndarray, count: int) -> None:
     )
     print(f"largest gap above the claimed one: {(gap - claimed).max():.1e} %")
     print(
-        f"gap: median {np.median(gap):.4f} %, 95 % {np.quantile(gap, 0.95):.4f} %, largest {gap.max():.4f} %, smallest ",
+        f"gap: median {np.median(gap):.4f} %, 95 % {np.quantile(gap, 0.95):.4f} %, "
+        f"largest {gap.max():.4f} %, smallest ",
         end="",
     )
     print(f"{gap.min():.1e} %; {', '.join(shares)}")

@@ -80,7 +80,9 @@ def strange_path(seed: int) -> tuple[str, sb.Path, tuple[np.ndarray, np.ndarray]
         path = sb.Path.through(points, kind=("cubic", "linear")[seed % 2])
     elif kind == "chord":
         steps = np.linalg.norm(np.diff(points), axis=0)
-        path = sb.Path.through(points, s=np.concatenate([[0], np.cumsum(steps + 1e-12 * steps.sum())]))
+        path = sb.Path.through(
+            points, s=np.concatenate([[0], np.cumsum(steps + 1e-12 * steps.sum())])
+        )
     elif kind == "hermite":
         s = np.cumsum(10 ** rng.uniform(-4, 1, count))
         slopes = rng.normal(size=(count, dof)) * np.abs(points).max() * 10 ** rng.uniform(-2, 2)

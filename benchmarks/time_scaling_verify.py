@@ -27,7 +27,7 @@ def exact_violation(timed: sb.TimedPath, curve: PPoly, v: np.ndarray, a: np.ndar
     """
     t0, t1 = timed.times[:-1], timed.times[1:]
     # From three instants inside each interval: at its ends s' may jump.
-    (s, v, u), (sm, vm, um), (se, ve, ue) = (
+    (s, sdot, first), (sm, vm, _), (se, ve, last) = (
         timed.progress(t0 + part * (t1 - t0)) for part in (0.1, 0.5, 0.9)
     )
     knot = np.searchsorted(curve.x, sm, side="right") - 1
@@ -35,13 +35,13 @@ def exact_violation(timed: sb.TimedPath, curve: PPoly, v: np.ndarray, a: np.ndar
     use = (se > s) & (t1 > t0)
     s0 = np.maximum(start, curve.x[np.clip(knot, 0, len(curve.x) - 2)])[use]
     h = np.minimum(end, curve.x[np.clip(knot + 1, 1, len(curve.x) - 1)])[use] - s0
-    s, v, u, sm, vm, um, se, ve, ue = (y[use] for y in (s, v, u, sm, vm, um, se, ve, ue))
-    slant = (ue - u) / (se - s)  # s'' is linear in s
-    rate = u + slant * (s0 - s)
+    s, sdot, first, sm, vm, se, ve, last = (y[use] for y in (s, sdot, first, sm, vm, se, ve, last))
+    slant = (last - first) / (se - s)  # s'' is linear in s
+    rate = first + slant * (s0 - s)
     u = [rate, slant * h]  # powers of z = (s - s0) / h
-    first = v**2 - 2 * rate * (s - s0) - slant * (s - s0) ** 2
-    x = [np.maximum(first, 0.0), 2 * h * rate, slant * h**2]
-    size = np.maximum(np.maximum(v, vm), ve) ** 2
+    square = sdot**2 - 2 * rate * (s - s0) - slant * (s - s0) ** 2
+    x = [np.maximum(square, 0.0), 2 * h * rate, slant * h**2]
+    size = np.maximum(np.maximum(sdot, vm), ve) ** 2
     for place, speed in ((sm, vm), (se, ve)):
         z = (place - s0) / h
         assert np.all(np.abs(x[0] + z * (x[1] + z * x[2]) - speed**2) < 1e-7 * size)

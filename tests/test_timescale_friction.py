@@ -146,6 +146,24 @@ def test_friction_holds_back_and_lets_down() -> None:
     assert largest_use(moving, dynamics, 1.0) <= 1 + 1e-8
 
 
+def test_dry_friction_where_the_motion_pauses_and_where_joints_rest() -> None:
+    """Pauses cost two ramps and no more; a joint that stands still has no friction."""
+
+    def dynamics(q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+        return qdd + 0.3 * np.sign(qd)
+
+    path = sb.Path.through([[0.0, 1.0, 2.0, 3.0], [1.0, 1.0, 1.0, 1.0]])
+    dwell = {1: 0.5, 2: 0.1}
+    timed = sb.time_scale(path, torque=1.0, inverse_dynamics=dynamics, dwell=dwell)
+    peak = np.sqrt(2 / (1 / 0.7 + 1 / 1.3))
+    assert timed.duration == pytest.approx(0.6 + 3 * peak * (1 / 0.7 + 1 / 1.3), rel=1e-3)
+    assert largest_use(timed, dynamics, 1.0) <= 1 + 1e-7
+    # p' = 0 at both ends: friction is there as soon as the joints move.
+    calm = sb.Path.through([[0, 0], [0, 1], [0, 0]], bc_type="clamped")
+    timed = sb.time_scale(calm, torque=3.0, inverse_dynamics=dynamics)
+    assert largest_use(timed, dynamics, 3.0) <= 1 + 1e-7
+
+
 def test_a_motion_with_viscous_friction_that_takes_longer() -> None:
     """With less drag to brake with: certified, and the speeds at the ends are kept."""
 

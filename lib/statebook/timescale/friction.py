@@ -118,8 +118,8 @@ def _first_speed(limit: TorqueLimit, grid: Grid) -> np.ndarray:
     room = np.minimum(upper - c - dry, c + dry - lower)
     room = np.clip(room, 1e-3 * limit.scale, limit.scale)
     with np.errstate(divide="ignore"):
-        speed = (room / (4 * np.abs(drag))).min(axis=2)
-    return np.where(np.isfinite(speed), speed, 1.0) ** 2
+        speed = (room / (4 * np.abs(drag))).min(axis=(0, 2))
+    return np.tile(np.where(np.isfinite(speed), speed, 1.0) ** 2, (len(_LOOK), 1))
 
 
 def _speed_of(profile: Profile, grid: Grid) -> np.ndarray:

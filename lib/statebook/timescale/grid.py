@@ -132,7 +132,9 @@ def lay_grid(
     follows = kept[1:] == kept[:-1] + 1
     smooth = follows & pieces.smooth[kept[:-1]]
     joints = pieces.origin[kept[1:], None]
-    smooth &= ~np.isclose(joints, halts, rtol=0, atol=1e-9 * pieces.width.sum()).any(axis=1)
+    smooth &= ~np.isclose(joints, halts, rtol=0, atol=2e-12 * (path.s_end - path.s_start)).any(
+        axis=1
+    )
     bounds = np.concatenate([[0], np.flatnonzero(~smooth) + 1, [len(kept)]])
     rest_left, rest_right = pieces.rest[:, kept]
     sections = [

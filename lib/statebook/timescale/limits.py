@@ -217,7 +217,7 @@ class AccelerationNormLimit(AccelerationLimit):
     def follow(
         self, grid: Grid, z: np.ndarray, u: np.ndarray, x: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        a, b, _ = self.terms(grid, z, x.max(axis=0))
+        a, b = (self.motion(grid, z, order) for order in (1, 2))
         bound = np.broadcast_to(self.bounds(grid, z)[1], (*x.shape, 1))[:, :, 0]
         b = b * x[:, :, None]
         square, half, rest = ((v * w).sum(axis=2) for v, w in ((a, a), (a, b), (b, b)))

@@ -86,7 +86,7 @@ def _block_rows(
             x += a * (rate * (-2 * rho * (1 - 2 * fraction)))[:, :, None]
         w, x = bernstein.along(to_bernstein, w), bernstein.along(to_bernstein, x)
         transform = partial(bernstein.along, to_bernstein)
-        labelled = range(w.shape[2])
+        labelled = list(range(w.shape[2]))
         if limit.squared:
             bounds = [("upper", 1.0, limit.squared_bounds(grid, z, transform))]
         else:

@@ -114,7 +114,7 @@ def _slopes(profile: Profile) -> tuple[np.ndarray, np.ndarray]:
 
 PASSES = 8  # of splitting for torques
 _GAIN = 4.0  # a refinement divides the time lost by about so much
-_WORK = 2500.0  # rows that are solved in all for each interval of a first grid, at most
+_WORK = 8000.0  # rows that are solved in all for each interval of a first grid, at most
 _SMALLEST = 1000  # intervals: a smaller first grid counts as one of these
 _OVERHEAD = 110  # of an interval, in rows
 _LARGEST_NARROWING = 1e-5  # of controllable sets against rounding
@@ -153,9 +153,11 @@ def fastest(limits: Sequence[Limit], grid: Grid, tolerance: float) -> tuple[Prof
             x = np.maximum(top.x, 1e-300)
             guide = Profile(grid, *x, np.zeros(len(grid.h)), np.stack([0 * x.T, x.T]))
         work -= len(grid.h) * (_OVERHEAD + rows)
-        if best is not None and (least >= best.duration * (1 - tolerance) or work < 0):
+        if best is not None and least >= best.duration * (1 - tolerance):
             return best, least
-        grid, curvature = refine(limits, guide, stuck=guide is not best and best is None)
+        grid, curvature = refine(limits, guide, stuck=best is None)
+        if best is not None and len(grid.h) * (_OVERHEAD + rows) > work:
+            return best, least
 
 
 def solve(

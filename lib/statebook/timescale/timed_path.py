@@ -204,8 +204,8 @@ class TimedPath:
         stretch = grid.pieces.stretch[k]
         s = grid.pieces.origin[k] + (grid.offset[i] + ds) / stretch
         s = np.clip(s, self.path.s_start, self.path.s_end)
-        values = s, np.where(paused, 0.0, speed / stretch), np.where(paused, 0.0, rate / stretch)
-        return values if t.ndim else tuple(float(value[0]) for value in values)
+        sdot, sddot = (np.where(paused, 0.0, part / stretch) for part in (speed, rate))
+        return (s, sdot, sddot) if t.ndim else (float(s[0]), float(sdot[0]), float(sddot[0]))
 
     @cached_property
     def s(self) -> np.ndarray:
