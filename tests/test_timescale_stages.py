@@ -274,7 +274,7 @@ def test_a_function_for_batches_is_called_with_batches() -> None:
 
     path = sb.Path.through([[0.0, 1.0], [0.5, -0.5]])
     sb.time_scale(path, torque=80.0, inverse_dynamics=dynamics)
-    assert 0 < len(single) < 10  # to find its shape, and to check what its batches give
+    assert 0 < len(single) < 20  # to find its shape and its noise, and to check its batches
 
 
 def test_the_use_of_ranges_around_zero_and_of_others() -> None:
