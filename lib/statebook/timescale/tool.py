@@ -119,7 +119,7 @@ def _fit_tool(path: Path, kinematics: Callable[..., Any], orders: tuple[int, ...
         first, last = found.curve.x[off.argmax() + np.arange(2)]
         raise ValueError(
             f"forward_kinematics must be smooth, with derivatives up to order {orders[-1]} along "
-            f"the path, and without noise; between s = {first:.6g} and {last:.6g} that one is known "
-            f"to {off.max():.1g} of its size only"
+            f"the path, and without noise; between s = {first:.6g} and {last:.6g} that one is "
+            f"known to {off.max():.1g} of its size only"
         )
     return found
