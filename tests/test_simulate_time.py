@@ -66,6 +66,14 @@ def test_a_pulse_inside_the_system_itself():
     assert simulate(sys, [0.0, 0.0], duration=10.0).states[1, -1] == pytest.approx(6.0, rel=1e-5)
 
 
+def test_a_pulse_in_a_function_of_the_time():
+    def f(x, u, t):
+        return [x[1], u[0] + pulse(5.02, 5.08)(x, t)]
+
+    run = simulate(f, [0.0, 0.0], [0.5], duration=10.0)
+    assert run.states[1, -1] == pytest.approx(5.0 + 6.0, rel=1e-5)
+
+
 def test_a_pulse_on_a_batch():
     run = simulate(double_integrator, np.zeros((2, 3)), pulse(5.02, 5.08), duration=10.0)
     assert run.states[1, :, -1] == pytest.approx([6.0] * 3, rel=1e-5)
@@ -367,7 +375,7 @@ def test_leaving_the_domain_of_math_is_a_divergence_with_time_and_state(method):
         (lambda x: [1 / (float(x[0]) + 1)], None, "dynamics have no value"),
         (lambda x: 1 / (x + 1), None, "dynamics.* must be finite, got inf"),
         (lambda x, u: u, lambda x, t: math.log(t), r"u\(x0, t0\) has no value at t = 0"),
-        (lambda x, u: u, None, "give u to a function f"),
+        (lambda x, u: [np.sum(u)], None, r"u is required for this function f\(x, u\)"),
         (lambda x: x, 1.0, "u was given"),
     ],
 )

@@ -11,7 +11,6 @@ from statebook.control_trajectory import ControlTrajectory
 from statebook.dense_output import DenseOutput, Steps
 from statebook.errors import DivergenceError
 from statebook.policies import Control, Stretch, held, of_plan
-from statebook.probes import arguments_of
 from statebook.solvers import SOLVERS
 from statebook.stepping import Flow, Solver, StoppedError, fixed_steps, iterate
 from statebook.systems import System
@@ -102,10 +101,7 @@ def iterated(
 
 def may_vary(system: System) -> bool:
     """Whether the dynamics may depend on time by themselves."""
-    source = system.source
-    if source is None or hasattr(source, "nstates"):
-        return not system.linear
-    return not hasattr(source, "dynamics") and arguments_of(source)[1] > 2
+    return system.timed or (system.source is None and not system.linear)
 
 
 def _attempt(work: Callable[[], object]) -> StoppedError | None:

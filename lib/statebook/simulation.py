@@ -276,16 +276,13 @@ def _as_system(system: Any, x0: np.ndarray, u: np.ndarray | None, t: float) -> S
     """View a system as one; errors speak of u."""
     try:
         with np.errstate(all="ignore"):
-            known = as_system(system, x0, u)
-    except (TypeError, ValueError, ArithmeticError) as error:
-        if outside_domain(error):
-            raise ValueError(
-                f"the dynamics have no value at t = {t:g}, x = {_validate.brief(x0)}: {error}"
-            ) from error
-        if "u0" not in str(error):
+            known = as_system(system, x0, u, names=("x0", "u"))
+    except (ValueError, ArithmeticError) as error:
+        if not outside_domain(error):
             raise
-        words = str(error).replace("u0 is required for", "give u to").replace("u0", "u")
-        raise type(error)(words) from None
+        raise ValueError(
+            f"the dynamics have no value at t = {t:g}, x = {_validate.brief(x0)}: {error}"
+        ) from error
     if known.n != len(x0):
         raise ValueError(f"x0 must have n = {known.n} rows for {known.name}, got {x0.shape}")
     if isinstance(system, Model):  # the checks of its dynamics take longer than the equations
