@@ -73,7 +73,7 @@ def test_degenerate_zeros_are_found_and_called_degenerate(f, guess, exact, atol)
     assert found.x == pytest.approx([exact], abs=atol)
     assert found.degenerate and found.rank == 0
     assert "degenerate" in repr(found)
-    assert sb.stability(f, found.x).verdict == "inconclusive"
+    assert sb.stability(f, found.x).verdict not in ("asymptotically stable", "unstable")
 
 
 def test_degenerate_in_one_direction_of_two():

@@ -130,7 +130,7 @@ def descend(
     noise = noise + np.nan_to_num(_EPS * np.abs(z) * change / r, posinf=0.0)  # z + r is rounded
     stairs = np.zeros(f0.shape)
     for slope in [np.zeros(f0.shape)] if exact is None else [np.zeros(f0.shape), exact]:
-        _measure_stairs(stairs, along, values - start, slope, r, noise, 1e-3 * floor * s)
+        _measure_stairs(stairs, along, values - start, slope, r, noise)
     noise = noise + stairs[:, None]
 
     value, spread = romberg(up, down, r)
@@ -215,7 +215,6 @@ def _measure_stairs(
     slope: np.ndarray,
     r: np.ndarray,
     noise: np.ndarray,
-    least: np.ndarray,
 ) -> None:
     """Enter the height of the stairs in which a row rises beside its slope, in place.
 
@@ -232,7 +231,7 @@ def _measure_stairs(
     first = np.argmax(below, axis=1)
     for i, p in np.argwhere(below.any(axis=1) & (first > 0)):
         rung = first[i, p] - 1
-        if not rest[i, rung, p] > max(8 * noise[i, rung, p], least[i, p]):
+        if not rest[i, rung, p] > 8 * noise[i, rung, p]:
             continue
         for width in (2, 8, 64, 512):  # the first riser may be close by chance
             t = np.linspace(-width, width, 193)[:, None] * r[rung, p]
