@@ -17,28 +17,32 @@ _PLACES = ("x", "y", "to x", "to y")
 _SOLID = ("_faces", "_vec", "_segments3d", "_offsets3d")
 
 
-class View(NamedTuple):
-    """How an axes shows its data: on which scales, and how much of the range.
+class Side(NamedTuple):
+    """How an axis shows its data.
 
     Parameters
     ----------
-    xlog, ylog : bool
-    xwindow, ywindow : float
+    log : bool
+    window : float
         Width of chosen limits; infinite where they follow from the data.
+    limits : tuple of float
     """
 
-    xlog: bool = False
-    ylog: bool = False
-    xwindow: float = math.inf
-    ywindow: float = math.inf
+    log: bool = False
+    window: float = math.inf
+    limits: tuple[float, float] = (0.0, 0.0)
 
-    def x(self, values: Any) -> str:
-        """Summary of abscissae."""
-        return summarize(values, log=self.xlog, window=self.xwindow)
+    def __call__(self, values: Any) -> str:
+        """Summary of values along the axis."""
+        beside = max(map(abs, self.limits))
+        return summarize(values, log=self.log, window=self.window, beside=beside)
 
-    def y(self, values: Any) -> str:
-        """Summary of ordinates."""
-        return summarize(values, log=self.ylog, window=self.ywindow)
+
+class View(NamedTuple):
+    """The two sides of an axes."""
+
+    x: Side = Side()
+    y: Side = Side()
 
     def pair(self, points: Any) -> dict[str, str]:
         """Summary of points, shape (n, 2)."""
@@ -70,9 +74,10 @@ def artists_digest(owner: Any, view: View | None = None) -> list[dict[str, Any]]
     found += patches_digest(seen("patches"), view.pair)
     found += [_image(image) for image in seen("images")]
     placed = [t for c in getattr(owner, "collections", ()) for t in getattr(c, "labelTexts", ())]
-    for text in seen("texts"):
-        if text.get_text() and text not in placed:
-            found.append(_text(text))
+    texts = [text for text in seen("texts") if text.get_text() and text not in placed]
+    if any(hasattr(patch, "theta1") for patch in seen("patches")):
+        texts.sort(key=lambda text: str(text.get_text()))  # a pie's, in another order since 3.11
+    found += [_text(text, view) for text in texts]
     for table in seen("tables"):
         cells = sorted(table.get_celld().items())
         texts = [cell.get_text().get_text() for _, cell in cells]
@@ -93,7 +98,7 @@ def _lines(lines: list[Any], view: View) -> list[dict[str, Any]]:
     unlabelled = [line for line in lines if not label_of(line)]
     together = unlabelled if len(unlabelled) > _SINGLE_LINES else []
     before = None
-    summaries = (view.x, view.y, summarize)
+    summaries: tuple[Any, ...] = (view.x, view.y, summarize)
     for line in lines:
         if line in together:
             continue
@@ -146,7 +151,8 @@ def _collection(artist: Any, view: View) -> dict[str, Any]:
         item["kind"] = "arrows"
         places = artist.get_offsets()
         u, v = (vectors.U, vectors.V) if hasattr(vectors, "U") else (vectors.u, vectors.v)
-        data = {**view.pair(places), "u": summarize(u), "v": summarize(v)}
+        size = float(np.hypot(u, v).max()) if np.size(u) else 0.0
+        data = {**view.pair(places), "u": summarize(u, beside=size), "v": summarize(v, beside=size)}
         if isinstance(artist, quiver.Quiver):
             item["units"] = f"{artist.angles}, {artist.scale_units}"
             if artist.scale is not None and artist.scale_units is not None:
@@ -220,7 +226,10 @@ def _corners(parts: Any) -> dict[str, str]:
         skew,
         mixed,
     ]
-    return {name: summarize([part[k] for part in parts]) for k, name in enumerate("xyz")}
+    return {
+        name: summarize([part[k] for part in parts], beside=1e3 * span)
+        for k, name in enumerate("xyz")
+    }
 
 
 def _contours(artist: Any) -> dict[str, str]:
@@ -236,14 +245,15 @@ def _contours(artist: Any) -> dict[str, str]:
         curves = [lines(level)[0] for level in artist.levels]
     rows: list[Any] = []
     for level in curves:
-        total = np.zeros(7)
+        total, size = np.zeros(7), np.zeros(7)
         for points in level:
             step = np.diff(points, axis=0)
             length = np.hypot(step[:, 0], step[:, 1])
             x, y = ((points[:-1] + points[1:]) / 2.0).T
             terms = np.stack([np.ones_like(x), x, y, x * y, x**2, x**3, y**3])
             total += terms @ length
-        rows.append(total)
+            size += np.abs(terms) @ length
+        rows.append(np.where(np.abs(total) < 1e-9 * size, 0.0, total))
     columns = np.reshape(rows, (-1, 7)).T
     names = ("lengths", "x", "y", "xy", "xx", "xxx", "yyy")
     return {name: summarize(column) for name, column in zip(names, columns, strict=True)}
@@ -258,16 +268,21 @@ def _image(artist: Any) -> dict[str, Any]:
     return {**item, **_norm(artist)}
 
 
-def _text(artist: Any) -> dict[str, Any]:
-    place = [*artist.get_position()]
+def _text(artist: Any, view: View) -> dict[str, Any]:
+    place, units = [*artist.get_position()], [True, True]
     item: dict[str, Any] = {"kind": "text", "text": artist.get_text()}
     if hasattr(artist, "xyann"):
         place += [*artist.xy]
+        units = [name == "data" for name in (artist.anncoords, artist.xycoords) for _ in "xy"]
         if artist.arrow_patch is not None and artist.arrow_patch.get_visible():
             item["arrow"] = True
     # Each by itself: an offset in points stands beside a place in data.
+    spans = [abs(side.limits[1] - side.limits[0]) for side in view] * 2
     try:
-        data = {name: summarize([v]) for name, v in zip(_PLACES, place, strict=False)}
+        data = {
+            name: summarize([value], scale=span if own else 0.0)
+            for name, value, span, own in zip(_PLACES, place, spans, units, strict=False)
+        }
     except (TypeError, ValueError):  # dates and categories as positions
         data = {}
         item["at"] = [str(value) for value in place]

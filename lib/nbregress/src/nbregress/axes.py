@@ -3,7 +3,7 @@
 import math
 from typing import Any
 
-from nbregress.artists import View, artists_digest
+from nbregress.artists import Side, View, artists_digest
 from nbregress.summary import summarize
 
 # What a chosen format makes of these is compared, wherever the ticks may be.
@@ -53,26 +53,21 @@ def axes_digest(ax: Any) -> dict[str, Any]:
         result["aspect"] = f"{ax.get_aspect():g}"
     if ax.name == "polar":
         result["direction"] = [f"{ax.get_theta_direction():g}", f"{ax.get_theta_offset():.6g}"]
-    windows = {}
+    sides = {}
     for name in ("x", "y", "z"):
         axis = getattr(ax, f"{name}axis", None)
         if axis is not None:
             chosen = not getattr(ax, f"get_autoscale{name}_on")()
             chosen = chosen and not _follows_data(ax, name)
             result[name] = _axis(axis, chosen)
-            windows[name] = _window(axis) if chosen else math.inf
+            window = _window(axis) if chosen else math.inf
+            sides[name] = Side(axis.get_scale() == "log", window, tuple(axis.get_view_interval()))
     if bar:
         return {**result, "colour bar": True}
     legend = ax.get_legend()
     if legend is not None:
         result["legend"] = legend_digest(legend)
-    view = View(
-        ax.get_xscale() == "log",
-        ax.get_yscale() == "log",
-        windows.get("x", math.inf),
-        windows.get("y", math.inf),
-    )
-    result["artists"] = artists_digest(ax, view)
+    result["artists"] = artists_digest(ax, View(sides["x"], sides["y"]))
     others = [legend_digest(a) for a in ax.artists if hasattr(a, "legend_handles")]
     if others:
         result["more legends"] = others

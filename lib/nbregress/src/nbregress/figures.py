@@ -27,9 +27,7 @@ def install(shell: "InteractiveShell") -> None:
     ----------
     shell : IPython.core.interactiveshell.InteractiveShell
     """
-    formatter = getattr(shell.display_formatter, "mimebundle_formatter", None)
-    if formatter is None:
-        return
+    formatter: Any = getattr(shell.display_formatter, "mimebundle_formatter")  # noqa: B009
     formatter.for_type_by_name("matplotlib.figure", "Figure", figure_bundle)
     for module, name in KNOWN:
         formatter.for_type_by_name(module, name, data_bundle)

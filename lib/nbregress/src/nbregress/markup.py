@@ -205,8 +205,6 @@ def _pieces_differences(
                 f", row {a.row}, column {a.column} of table {a.table}" if a.table and a.row else ""
             )
             messages.append(f"{name}{place}: {message.removeprefix('line 1: ')}")
-        if len(messages) > 5:
-            return messages
     if len(old) != len(new):
         k = min(len(old), len(new))
         extra = (new[k:] or old[k:])[0].value

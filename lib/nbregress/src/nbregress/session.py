@@ -103,21 +103,6 @@ def notebook_language(nb: Any) -> str:
     return re.sub(r"^i?python[\d.]*$", "python", str(language).lower())
 
 
-def kernel_environment(settings: Settings) -> dict[str, str]:
-    """Environment of a kernel, the same whoever starts it.
-
-    Parameters
-    ----------
-    settings : Settings
-
-    Returns
-    -------
-    environment : dict
-    """
-    kept = {name: value for name, value in os.environ.items() if not _DROPPED.match(name)}
-    return {**kept, **_FIXED, **settings.env}
-
-
 class Session(NotebookClient):
     """A notebook with a kernel of its own.
 
@@ -176,9 +161,9 @@ class Session(NotebookClient):
         self.km = AsyncKernelManager(kernel_name=wanted, kernel_spec_manager=specs)
         try:
             # What the kernel process itself says is noise; the cells' stderr is an output.
-            await self.async_start_new_kernel(
-                env=kernel_environment(self.settings), stderr=subprocess.DEVNULL
-            )
+            kept = {name: value for name, value in os.environ.items() if not _DROPPED.match(name)}
+            environment = {**kept, **_FIXED, **self.settings.env}
+            await self.async_start_new_kernel(env=environment, stderr=subprocess.DEVNULL)
             await self.async_start_new_kernel_client()
             if language == "python":
                 package = Path(__file__).parent
@@ -223,9 +208,8 @@ class Session(NotebookClient):
             given = "\n".join(f"{k} = {v!r}" for k, v in self.settings.parameters.items())
             if given:
                 await self._silently(given)
-        error = None
-        if self._reply.get("status") == "error":
-            error = f"{self._reply.get('ename')}: {self._reply.get('evalue')}"
+        failed = self._reply.get("status") == "error"
+        error = f"{self._reply.get('ename')}: {self._reply.get('evalue')}" if failed else None
         shown = any(index in places for places in self._display_id_map.values())
         late = shown or any(
             "widget-view" in mime for o in cell.outputs for mime in o.get("data", ())

@@ -126,10 +126,9 @@ def load_settings(
     SettingsError
         If a setting is unknown or cannot be read.
     """
-    folders = [Path(os.path.abspath(notebook)).parent]
-    folders += folders[0].parents
-    values = dict(_pytest_ini(folders) if ini is None else ini)
-    values |= _project(folders, Path(os.path.abspath(notebook)))
+    notebook = Path(os.path.abspath(notebook))
+    folders = list(notebook.parents)
+    values = dict(_pytest_ini(folders) if ini is None else ini) | _project(folders, notebook)
     values |= {name: value for name, value in given.items() if value is not None}
     values = {name: value for name, value in values.items() if value is not None}
     pattern_file = values.pop("sanitize_with", None)

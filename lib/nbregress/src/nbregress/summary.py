@@ -34,7 +34,13 @@ class _Summary(NamedTuple):
 
 
 def summarize(
-    values: Any, *, log: bool = False, window: float = math.inf, whole: int = _WHOLE
+    values: Any,
+    *,
+    log: bool = False,
+    window: float = math.inf,
+    whole: int = _WHOLE,
+    beside: float = 0.0,
+    scale: float = 0.0,
 ) -> str:
     """Summary of an array as one line of text.
 
@@ -46,6 +52,10 @@ def summarize(
         Summarize log10 of the values, as a logarithmic axis shows them.
     window : float > 0
         How much of the range is in view.
+    beside : float >= 0
+        The largest value beside these: what is rounding of it counts as zero.
+    scale : float > 0
+        What a tolerance refers to, in place of the values' range.
     whole : int
         How many values are written out.
 
@@ -69,7 +79,9 @@ def summarize(
         v = v.astype(float)
     if masked is not None:
         v = np.where(masked, np.nan, v)
-    prefix = ""
+    prefix = f"={scale:.3g} " if scale else ""
+    if beside and not log:
+        v = np.where(np.abs(v) < _RESIDUE * beside, 0.0, v)
     if log:
         v = v.astype(float)
         top = v[np.isfinite(v)].max(initial=0.0)
@@ -160,6 +172,7 @@ def difference(
     finite = [x for x in (*a.extremes, *b.extremes) if math.isfinite(x)]
     largest = max(map(abs, finite), default=0.0)
     spread = min(max(finite, default=0.0) - min(finite, default=0.0), a.window, b.window)
+    spread = abs(spread)  # a window below zero is a scale
     allowed = atol + _RESIDUE * largest + (rtol + _WRITTEN) * (spread or largest)
     places = _sample_indices(a.size) if a.sums else range(a.size)
     differences = []
@@ -228,9 +241,9 @@ def _parse(text: str) -> _Summary:
     log = text.startswith("log10")
     text = text.removeprefix("log10").strip()
     window = math.inf
-    if text.startswith("~"):
+    if text.startswith(("~", "=")):
         first, _, text = text.partition(" ")
-        window = float(first[1:])
+        window = float(first[1:]) * (1 if first[0] == "~" else -1)
     parts = text.split("|")
     lists = [[float(word) for word in part.split()] for part in parts[:4]]
     if len(parts) == 1:

@@ -58,14 +58,13 @@ def _frames(stored: list[Any], new: list[Any], comparison: Comparison) -> Iterat
     if len(stored) != len(new):
         yield f"{len(new)} frames, stored {len(stored)}"
         return
-    bad = 0
-    for number, (a, b) in enumerate(zip(stored, new, strict=True), start=1):
-        messages = figures_differences(a, b, comparison, "figure")
-        bad += bool(messages)
-        shown = messages[:3] if bad <= 2 else []
-        yield from (f"frame {number} of {len(new)}: {message}" for message in shown)
-    if bad > 2:
-        yield f"... and {bad - 2} more frames"
+    pairs = enumerate(zip(stored, new, strict=True), start=1)
+    found = [(k, figures_differences(a, b, comparison, "figure")) for k, (a, b) in pairs]
+    bad = [(number, messages) for number, messages in found if messages]
+    for number, messages in bad[:2]:
+        yield from (f"frame {number} of {len(new)}: {message}" for message in messages[:3])
+    if len(bad) > 2:
+        yield f"... and {len(bad) - 2} more frames"
 
 
 def _limited(messages: Iterator[str]) -> list[str]:

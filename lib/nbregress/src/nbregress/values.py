@@ -138,10 +138,8 @@ def array_digest(values: Any) -> dict[str, Any]:
         result["data"] = {"real and imaginary parts": summarize(parts, whole=2 * _WHOLE)}
     elif a.dtype.kind == "f":
         result["data"] = {"values": summarize(a, whole=_WHOLE)}
-    elif a.dtype.kind in "iub" or a.dtype.names is None:
-        result["texts"] = _texts([str(v) for v in a.ravel().tolist()])
     else:
-        result["texts"] = {name: array_digest(a[name]) for name in a.dtype.names}
+        result["texts"] = _texts([str(v) for v in a.ravel().tolist()])
     return result
 
 
