@@ -158,3 +158,32 @@ def test_a_family_ends_where_the_function_does(room, verdict):
 def test_linear_systems_keep_their_verdicts():
     assert sb.stability(sb.Particle()).verdict == "unstable"
     assert sb.stability(np.diag([0.0, -1.0])).verdict == "marginally stable"
+
+
+def spring(x, u, t):
+    """Its stiffness grows from -1 at t = 0 through 0 at t = 1."""
+    return [x[1], (1 - t) * x[0] - 0.2 * x[1]]
+
+
+@pytest.mark.parametrize(
+    ("t", "verdict"),
+    [(0.0, "unstable"), (2.0, "asymptotically stable"), (5.0, "asymptotically stable")],
+)
+def test_a_system_that_depends_on_the_time_is_judged_at_the_stated_one(t, verdict):
+    report = sb.stability(spring, [0, 0], [0.0], t=t)
+    assert report.verdict == verdict
+    roots = np.roots([1, 0.2, t - 1])
+    assert np.sort_complex(report.eigenvalues) == pytest.approx(np.sort_complex(roots), rel=1e-12)
+    distance = sb.distance_to_instability(spring, [0, 0], [0.0], t=t)
+    assert distance == pytest.approx(sb.distance_to_instability([[0, 1], [1 - t, -0.2]]), rel=1e-9)
+
+
+def test_without_a_time_it_is_refused_and_a_matrix_has_none():
+    for call in (sb.stability, sb.distance_to_instability):
+        with pytest.raises(ValueError, match="t is required"):
+            call(spring, [0, 0], [0.0])
+    with pytest.raises(ValueError, match="t is required"):
+        sb.critical_step(spring, "euler", [0, 0], [0.0])
+    assert sb.critical_step(spring, "euler", [0, 0], [0.0], t=2.0) == pytest.approx(0.2)
+    with pytest.raises(ValueError, match="a matrix takes none"):
+        sb.stability([[-1.0]], t=0.0)

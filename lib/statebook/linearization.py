@@ -87,7 +87,7 @@ def jacobians(
     J, error, inexact, _ = jacobian(
         system, x0, u0, t, columns=columns, scale=scale, f0=f0 if u0.ndim <= x0.ndim else None
     )
-    _warn(system, error, inexact)
+    warn_of_differences(system, error, inexact)
     A, B = J[..., :split], J[..., split:]
     return (A[0], B[0]) if x0.ndim == u0.ndim == 1 else (A, B)
 
@@ -104,7 +104,8 @@ def _columns(
     return [labels.index(label) for label in (*chosen, *driven)], len(chosen)
 
 
-def _warn(system: System, error: np.ndarray, inexact: np.ndarray) -> None:
+def warn_of_differences(system: System, error: np.ndarray, inexact: np.ndarray) -> None:
+    """Warn the caller's caller where the complex step does not vouch for a derivative."""
     if inexact.any():
         warnings.warn(
             f"{system.name} is not analytic at the point, or noise hides a derivative: adaptive"
@@ -114,7 +115,7 @@ def _warn(system: System, error: np.ndarray, inexact: np.ndarray) -> None:
         )
 
 
-def linear_part(
+def jacobian_at_rest(
     system: System,
     x0: np.ndarray,
     u0: np.ndarray,
@@ -260,8 +261,8 @@ def linearize(
     x0, u0 = point(system, x0, u0, batch=False)
     t = time_of(system, x0, u0, t)
     columns, split = _columns(system, states, inputs)
-    J, error, inexact = linear_part(system, x0, u0, t, columns=columns, scale=scale)
-    _warn(system, error, inexact)
+    J, error, inexact = jacobian_at_rest(system, x0, u0, t, columns=columns, scale=scale)
+    warn_of_differences(system, error, inexact)
     outputs, H = _outputs(system, x0, u0, t, columns)
     kept = [*system.states, *system.inputs]
     if columns is not None:
@@ -288,5 +289,5 @@ def _outputs(
     J, error, inexact, _ = differentiate(
         lambda z: output(z[:n], z[n:], t), z[:, None], kept, labels=(*system.states, *system.inputs)
     )
-    _warn(system, error, inexact)
+    warn_of_differences(system, error, inexact)
     return list(labels), J[0]

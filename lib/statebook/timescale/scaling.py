@@ -207,6 +207,7 @@ def _without_zeros(limit: Limit, grid: Grid) -> Limit:
     if limit.kind not in ("velocity", "acceleration") or not zero.any():
         return limit
     left, right = (slope / np.maximum(np.abs(slope).max(), 1e-300) for slope in grid.path(_ENDS, 1))
+    moves: list[tuple[np.ndarray, Sequence[int]]]
     moves = [(left, range(len(left))), (right, range(len(right)))]
     if limit.kind == "acceleration":  # only at the ends of sections must its sign be that of p'
         moves = [
@@ -216,7 +217,9 @@ def _without_zeros(limit: Limit, grid: Grid) -> Limit:
     for slope, intervals in moves:
         for side, sign, none in (("upper", 1, zero[1]), ("lower", -1, zero[0])):
             bad = [
-                (i, j) for i in intervals for j in np.flatnonzero(none & (sign * slope[i] > _SMALL))
+                (i, int(j))
+                for i in intervals
+                for j in np.flatnonzero(none & (sign * slope[i] > _SMALL))
             ]
             if bad:
                 i, j = bad[0]

@@ -151,7 +151,7 @@ def fastest(limits: Sequence[Limit], grid: Grid, tolerance: float) -> tuple[Prof
                 solve(limits, grid, curvature, top.x, every_row=True)  # raises what is to be named
                 raise
             x = np.maximum(top.x, 1e-300)
-            guide = Profile(grid, *x, np.zeros(len(grid.h)), np.stack([0 * x.T, x.T]))
+            guide = Profile(grid, x[0], x[1], np.zeros(len(grid.h)), np.stack([0 * x.T, x.T]))
         work -= len(grid.h) * (_OVERHEAD + rows)
         if best is not None and least >= best.duration * (1 - tolerance):
             return best, least

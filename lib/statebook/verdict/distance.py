@@ -11,7 +11,12 @@ from statebook.verdict.linear_part import linear_part
 
 
 def distance_to_instability(
-    system_or_A: Any, x0: Any = None, u0: Any = None, *, dt: float | bool | None = None
+    system_or_A: Any,
+    x0: Any = None,
+    u0: Any = None,
+    *,
+    dt: float | bool | None = None,
+    t: float | None = None,
 ) -> float:
     """Size of the smallest perturbation that ends stability.
 
@@ -29,6 +34,8 @@ def distance_to_instability(
     dt : float, bool or None
         Marks a matrix or a plain function as discrete: None or 0 is continuous time, True or
         > 0 [s] discrete. Other systems know theirs.
+    t : float, optional [s]
+        The time at which a system that depends on it is frozen; required for one.
 
     Returns
     -------
@@ -55,7 +62,7 @@ def distance_to_instability(
     >>> distance_to_instability([[-1.0, 100.0], [0.0, -3.0]]) < 0.03
     True
     """
-    part = linear_part(system_or_A, x0, u0, dt=dt)
+    part = linear_part(system_or_A, x0, u0, dt=dt, t=t)
     A, discrete = part.A, _validate.is_discrete(part.dt)
     if len(A) == 0:
         return float("inf")

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from numbers import Number
 from typing import Any
 
 import numpy as np
 
 from statebook import _validate
-from statebook.derivatives import derivative
-from statebook.linearization import linearize
-from statebook.systems import System, as_system
+from statebook.linearization import jacobian_at_rest, warn_of_differences
+from statebook.residuals import point
+from statebook.systems import System, as_system, time_of
 from statebook.verdict.blocks import EPS
 from statebook.verdict.exact import RationalMatrix, as_rational
 
@@ -51,13 +51,18 @@ class LinearPart:
 
 
 def linear_part(
-    system_or_A: Any, x0: Any = None, u0: Any = None, *, dt: float | bool | None = None
+    system_or_A: Any,
+    x0: Any = None,
+    u0: Any = None,
+    *,
+    dt: float | bool | None = None,
+    t: float | None = None,
 ) -> LinearPart:
     """Return the matrix of a matrix, a linear system or an equilibrium.
 
     Parameters
     ----------
-    system_or_A, x0, u0, dt
+    system_or_A, x0, u0, dt, t
         As `stability` takes them.
 
     Returns
@@ -70,8 +75,8 @@ def linear_part(
         As `stability` does.
     """
     if hasattr(system_or_A, "tolist") or isinstance(system_or_A, list | tuple | str | Number):
-        if x0 is not None or u0 is not None:
-            raise ValueError("x0 and u0 belong to a nonlinear system; a matrix takes neither")
+        if x0 is not None or u0 is not None or t is not None:
+            raise ValueError("x0, u0 and t belong to a nonlinear system; a matrix takes none")
         rational = as_rational(system_or_A)
         A = _as_floats(system_or_A) if rational is None else rational.floats()
         states = tuple(f"x[{i}]" for i in range(len(A)))
@@ -92,21 +97,25 @@ def linear_part(
                 "x0 is required: a nonlinear system's stability is that of one of its equilibria"
             )
         x0 = np.zeros(view.n)
-    linear = linearize(view, x0, u0)
-    A, B = np.asarray(linear.A), np.asarray(linear.B)[:, : view.m]
-    x = np.asarray(x0, dtype=float)
-    u = np.zeros(view.m) if u0 is None else np.asarray(u0, dtype=float)
-    _, error = derivative(
-        lambda x: view.probe(x, np.repeat(u[:, None], x.shape[1], axis=1)), x[:, None]
-    )
+    x, u = point(view, x0, u0, batch=False)
+    t = time_of(view, x, u, t)
+    if view.timed:  # what follows looks at this time alone
+        rate = view.rate
+        view = replace(view, rate=lambda x, u, _: rate(x, u, t), timed=False)
+    J, error, inexact = jacobian_at_rest(view, x, u)
+    warn_of_differences(view, error, inexact)
+    A, B = J[:, : view.n], J[:, view.n :]
     size = float(np.linalg.norm(A))
-    precision = max(EPS, float(np.linalg.norm(error)) / size) if size > 0 else EPS
+    unknown = float(np.linalg.norm(error[:, : view.n]))
+    precision = max(EPS, unknown / size) if size > 0 else EPS
     return LinearPart(A, B, None, precision, view.dt, view.states, view.linear, view, x, u)
 
 
-def continuous_part(system_or_A: Any, x0: Any = None, u0: Any = None) -> LinearPart:
+def continuous_part(
+    system_or_A: Any, x0: Any = None, u0: Any = None, t: float | None = None
+) -> LinearPart:
     """Return the matrix of a system in continuous time; one in discrete time is refused."""
-    part = linear_part(system_or_A, x0, u0)
+    part = linear_part(system_or_A, x0, u0, t=t)
     if _validate.is_discrete(part.dt):
         raise ValueError(
             f"system_or_A must be in continuous time, got a system with dt = {part.dt}"

@@ -32,7 +32,13 @@ Loop = Callable[[np.ndarray], np.ndarray]
 
 
 def critical_sample_time(
-    system_or_A: Any, B: Any = None, K: Any = None, x0: Any = None, u0: Any = None
+    system_or_A: Any,
+    B: Any = None,
+    K: Any = None,
+    x0: Any = None,
+    u0: Any = None,
+    *,
+    t: float | None = None,
 ) -> float:
     """Largest sample time below which sampled feedback is stable.
 
@@ -50,6 +56,8 @@ def critical_sample_time(
         Gain of the state feedback.
     x0, u0 : array, shape (n,) and (m,), optional
         Equilibrium of a nonlinear system; u0 = None means zeros.
+    t : float, optional [s]
+        The time at which a system that depends on it is frozen; required for one.
 
     Returns
     -------
@@ -90,7 +98,7 @@ def critical_sample_time(
     >>> round(critical_sample_time([[0, 1], [-100, -0.2]], [[0], [1]], [[0, 0.5]]), 9)
     0.305222101
     """
-    part = continuous_part(system_or_A, x0, u0)
+    part = continuous_part(system_or_A, x0, u0, t)
     A = part.A
     if part.B is None:
         if B is None:

@@ -24,6 +24,7 @@ def stability(
     *,
     dt: float | bool | None = None,
     exact: bool | None = None,
+    t: float | None = None,
 ) -> StabilityReport:
     """Decide stability, and say why.
 
@@ -46,6 +47,8 @@ def stability(
     exact : bool, optional
         Prove the verdict in rational arithmetic, n <= 30. By default where the matrix is exact:
         integers, fractions, SymPy's rationals. True takes floats at their word too.
+    t : float, optional [s]
+        The time at which a system that depends on it is frozen; required for one.
 
     Returns
     -------
@@ -87,7 +90,7 @@ def stability(
     >>> stability(lambda x, u: [x[1], u[0] - x[1]], [0, 0], [0]).verdict
     'stable, along a family of dimension 1'
     """
-    part = linear_part(system_or_A, x0, u0, dt=dt)
+    part = linear_part(system_or_A, x0, u0, dt=dt, t=t)
     discrete = _validate.is_discrete(part.dt)
     rational = _to_be_proved(part, exact)
     if rational is not None:

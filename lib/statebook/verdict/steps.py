@@ -29,7 +29,12 @@ _GROWTH = 1e-10
 
 
 def critical_step(
-    system_or_A: Any, method: str | ButcherTableau, x0: Any = None, u0: Any = None
+    system_or_A: Any,
+    method: str | ButcherTableau,
+    x0: Any = None,
+    u0: Any = None,
+    *,
+    t: float | None = None,
 ) -> float:
     """Largest step below which a method keeps solutions bounded.
 
@@ -48,6 +53,8 @@ def critical_step(
         state are positions).
     x0, u0 : array, shape (n,) and (m,), optional
         Equilibrium of a nonlinear system; u0 = None means zeros.
+    t : float, optional [s]
+        The time at which a system that depends on it is frozen; required for one.
 
     Returns
     -------
@@ -85,7 +92,7 @@ def critical_step(
     >>> critical_step([[0.0, 1.0], [-1.0, 0.0]], "implicit_midpoint")
     inf
     """
-    A = continuous_part(system_or_A, x0, u0).A
+    A = continuous_part(system_or_A, x0, u0, t).A
     tableau = None if method == SEMI_IMPLICIT_EULER else as_tableau(method)
     if tableau is None and len(A) % 2:
         raise ValueError(
