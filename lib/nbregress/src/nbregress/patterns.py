@@ -23,7 +23,7 @@ _PATTERNS = {
     ),
     "timing": (
         rf"(?:Wall time|CPU times): .*"
-        rf"|[\d.]+ [nµμum]?s ± [\d.]+ [nµμum]?s per loop.*"
+        rf"|(?<![\d.])[\d.]{{1,12}} [nµμum]?s ± [\d.]{{1,12}} [nµμum]?s per loop.*"
         rf"|(?i:\b(?:elapsed|execution|computation|computing|running|run|cpu|wall[- ]?clock) ?time)"
         rf"(?: is| was| taken| elapsed)?\s*[=:]?\s*(?:{_CLOCK}|{_DURATION})"
         rf"|(?i:\belapsed)\s*[=:]\s*(?:{_CLOCK}|{_DURATION})"
@@ -31,16 +31,16 @@ _PATTERNS = {
         "timing",
     ),
     "progress": (
-        rf"(?P<bar>\d+%\|)[^|\n]*\|(?P<count> \S+/\S+) \[(?:{_CLOCK}|\?)<(?:{_CLOCK}|\?)[^\]\n]*\]"
-        rf"|(?P<open>\b\d+\S*it) \[{_CLOCK}, [^\]\n]*\]",
+        rf"(?P<bar>(?<!\d)\d{{1,3}}%\|)[^|\n]*\|(?P<count> \S+/\S+) \[(?:{_CLOCK}|\?)<[^\]\n]*\]"
+        rf"|(?P<open>\b\d[\d.kM]{{0,12}}it) \[{_CLOCK}, [^\]\n]*\]",
         r"\g<bar>\g<count>\g<open>",
     ),
     "path": (
         r"(?:/home/|/Users/|(?<![\w/])/root(?=/)|[A-Z]:\\+Users\\+)[^/\\\s\"'<>:]*"
         r"|(?:/private)?/(?:var/folders/\w+/\w+/T|tmp|var/tmp)(?:/[\w.-]+)?(?=[/\s\"'<>:,)]|$)"
         r"|[A-Z]:\\+(?:[^\\\s]+\\+)*?Temp\\+[\w.-]+"
-        r"|[^\s\"'<>(=]*[/\\]lib[/\\]python3\.\d+(?:t)?(?:[/\\](?:site|dist)-packages)?(?=[/\\])"
-        r"|[^\s\"'<>(=]*[/\\](?:site|dist)-packages(?=[/\\])",
+        r"|(?<![^\s\"'<>(=])[^\s\"'<>(=]{0,300}[/\\]lib[/\\]python3\.\d+(?:t)?(?:[/\\](?:site|dist)-packages)?(?=[/\\])"
+        r"|(?<![^\s\"'<>(=])[^\s\"'<>(=]{0,300}[/\\](?:site|dist)-packages(?=[/\\])",
         "~",
     ),
 }

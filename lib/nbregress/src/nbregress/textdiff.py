@@ -141,9 +141,9 @@ def plain_spaces(words: list[str]) -> list[str]:
             elif depth:
                 piece = re.sub(r"\s+", " ", piece)
             out.append(piece)
-        text = re.sub(r"([(\[]) +", r"\1", re.sub(r" +(?=[)\]\n]|$)", "", "".join(out)))
-        text = re.sub(r"\s*,\s+" if depth else r" *, +", ", ", text)
-        text = re.sub(r"  +", " ", text)
+        text = re.sub(r" {2,}", " ", "".join(out))
+        text = re.sub(r"([(\[]) ", r"\1", re.sub(r" (?=[)\]\n]|$)", "", text))
+        text = re.sub(r" ?, ", ", ", text)
         if index > 0:
             text = text.lstrip(" ")
         plain.append(text)
