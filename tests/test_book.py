@@ -34,9 +34,10 @@ def site(tmp_path_factory):
     folder = tmp_path_factory.mktemp("book")
     source = folder / "source"
     shutil.copytree(ROOT / "book", source)
-    (source / "chapters").mkdir()
-    for chapter in CHAPTERS:
-        shutil.copy(chapter, source / "chapters")
+    for notebook in NOTEBOOKS:
+        place = source / "chapters" / notebook.relative_to(WORKBOOK)
+        place.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(notebook, place)
     command = ["sphinx", "-q", "--fail-on-warning", "--keep-going", source, folder / "html"]
     built = subprocess.run(
         [sys.executable, "-m", *command], capture_output=True, text=True, cwd=folder

@@ -46,7 +46,7 @@ WRONG = {
         (lambda p: lambda x, t: 0.0, "Which sign of the torque adds energy"),
         (lambda p: lambda x, t: -p.limit if x[1] >= 0 else p.limit, "Which sign"),
         (lambda p: lambda x, t: 2 * p.limit, "and the limit is"),
-        (lambda p: lambda x, t: 1 / 0, "ZeroDivisionError"),
+        (lambda p: lambda x, t: 1 / 0, "division by zero"),
     ],
 }
 

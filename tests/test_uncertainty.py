@@ -550,7 +550,6 @@ NOISE = sb.HeldNoise(1.0, 0.1, seed=1)
         (ValueError, "method must be one of", lambda: pushed_with(method="rk5")),
         (TypeError, r"disturbance\(x, t\) must", lambda: pushed_with(disturbance="a", G=PUSH)),
         (ValueError, "policy was given", lambda: undriven(policy=[1.0])),
-        (ValueError, "policy is required", lambda: undriven(lambda x, u: u)),
         (ValueError, "number must", lambda: pushed_with(number=0)),
         (ValueError, r"policy\(x, t\) must", lambda: pushed_with(policy=lambda x, t: [1, 2])),
         (TypeError, "noise must be a HeldNoise", lambda: sb.with_measurement_error(abs, 0.1)),
