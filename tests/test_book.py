@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from ledger import CHAPTERS, NOTEBOOKS, WORKBOOK
+
 ROOT = Path(__file__).resolve().parents[1]
-CHAPTERS = sorted((ROOT / "workbook").glob("[0-9][0-9]_*.ipynb"))
 
 
 class Resources(HTMLParser):

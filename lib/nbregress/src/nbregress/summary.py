@@ -158,7 +158,7 @@ def difference(
     Examples
     --------
     >>> difference("0 0.5 -1", "0 0.505 -1", rtol=1e-6, atol=1e-12)
-    'point 2 of 3: 0.505, stored 0.5 (difference 0.005, allowed 1.6e-06)'
+    'point 2 of 3: 0.505, stored 0.5 (difference 0.005, allowed 1.7e-06)'
     """
     if stored == new:
         return None
