@@ -323,3 +323,24 @@ def test_verdicts_on_fast_waves():
         np.testing.assert_allclose(
             np.sort_complex(report.eigenvalues), np.sort_complex(expected), rtol=1e-12
         )
+
+
+def torque_driven_arm(x):
+    """Six links; its torques are rounded, and the mass matrix makes much of that."""
+    lengths = np.array([0.5, 0.45, 0.35, 0.3, 0.2, 0.15])
+    masses = np.array([6.0, 4.0, 3.0, 2.0, 1.5, 0.7])
+    angles, rates = np.cumsum(x[:6]), np.cumsum(x[6:])
+    carried, links = np.cumsum(masses[::-1])[::-1], np.arange(6)
+    weights = carried[np.maximum.outer(links, links)] * np.outer(lengths, lengths)
+    apart = np.subtract.outer(angles, angles)
+    bias = weights * np.sin(apart) @ rates**2 + carried * 9.8 * lengths * np.cos(angles)
+    accelerations = np.linalg.solve(weights * np.cos(apart), -bias)
+    return np.concatenate([x[6:], np.diff(accelerations, prepend=0.0)])
+
+
+def test_noise_that_grows_as_steps_shrink_is_no_kink():
+    start = np.array([1.2, -0.6, 0.3, -0.7, -0.3, -0.4, *np.zeros(6)])
+    A, _ = sb.jacobians(torque_driven_arm, start)
+    # At rest the torques of motion are quadratic in the rates: no slope.
+    assert np.abs(A[6:, 6:]).max() < 1e-9
+    assert A[:6, 6:] == pytest.approx(np.eye(6), abs=1e-15)

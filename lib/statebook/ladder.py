@@ -204,7 +204,9 @@ def _lasting(jump: np.ndarray, floor: np.ndarray) -> tuple[np.ndarray, np.ndarra
     before = np.take_along_axis(jump, last - 4, axis=1)
     below = np.minimum(last + 1, number - 1)
     hidden = (last == number - 1) | (np.take_along_axis(floor, below, axis=1) > 0.3 * here)
-    kink = np.any(run, axis=1)[:, None] & (here >= 0.5 * before) & hidden
+    # The jump of a kink stays, that of a root grows by 4; what grows by 16 is noise.
+    lasts = (0.5 * before <= here) & (here <= 5 * before)
+    kink = np.any(run, axis=1)[:, None] & lasts & hidden
     return kink[:, 0], np.maximum(last - 8, 0)
 
 
