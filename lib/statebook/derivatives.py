@@ -23,8 +23,9 @@ _COMPLEX_STEP = 1e-40  # relative to the scale of a variable
 _RADIUS = 0.019318516525781  # of the first differences: no multiple of anybody's period
 _RADII = _RADIUS * np.array([1.0, 0.5, 0.25])
 _STEPS = np.concatenate([_RADII, -_RADII])
+_NEAR = _RADIUS / 80 * np.array([1.0, 0.5, -1.0, -0.5])  # in all columns at once
 _FAR = 0.31066017177982  # where f is looked at once more: a staircase is flat nearby
-_CHUNK = 4096  # points that a cache holds
+_CHUNK = 1024  # points that a cache holds, and of arrays that cost no new pages
 _ALONE = 64  # points, up to which every column is checked alone
 _TRUSTED = 1e-6  # relative error up to which differences are evidence
 _EPS = float(np.finfo(float).eps)
@@ -45,7 +46,20 @@ def _weights() -> np.ndarray:
     return np.concatenate([value, spread, (8 * jump[1:] - jump[:1]) / 7, jump[:1]])
 
 
+def _joint_weights() -> np.ndarray:
+    """Return what turns changes of f at _NEAR into differences, (3, 4).
+
+    The slope of order 4, what it differs by from that of order 2, the jump of the slope.
+    """
+    unit, radii = np.eye(4), _NEAR[:2, None]
+    second = (unit[:2] - unit[2:]) / (2 * radii)
+    value = (4 * second[1:] - second[:1]) / 3
+    jump = slopes_jump(unit[:2], unit[2:], np.zeros((1, 4)), radii)
+    return np.concatenate([value, value - second[1:], jump])
+
+
 _WEIGHTS = _weights()
+_JOINT = _joint_weights()
 
 
 class InexactDerivativeWarning(UserWarning):
@@ -250,21 +264,10 @@ class _Differentiation:
         J, N, c = self.J, self.z.shape[1], len(self.columns)
         d = np.zeros((len(self.z), 1))
         d[self.columns, 0] = rng.uniform(0.5, 1, c) * rng.choice([-1, 1], c)
-        d, shrink = d * self.s, 0.05  # J takes in all columns: smaller steps than alone
-        change = np.stack([self.f(self.z + shrink * r * d) - self.f0 for r in _STEPS], axis=1)
-        value, spread, jump, _ = (_WEIGHTS @ change / shrink).swapaxes(0, 1)
-        size = J * d[self.columns]
-        expected = size.sum(axis=1)
-        np.abs(size, out=size)
-        terms, most = size.sum(axis=1), size.max(axis=1)
-        noise = (16 * self.eps / shrink / _RADII[-1]) * (np.abs(self.f0) + terms)
-        spread = np.abs(spread)
-        right = (np.abs(value - expected) <= 0.1 * spread + noise) & (
-            np.abs(jump) <= 8 * noise + 0.03 * spread
-        )
-        right &= spread <= 1e-8 * terms + noise
-        size[size == 0] = np.inf
-        again = ~right.all(axis=0) | (size.min(axis=1) < 1e-6 * most).any(axis=0)
+        again = np.zeros(N, dtype=bool)
+        for first in range(0, N, _CHUNK):
+            some = slice(first, first + _CHUNK)
+            again[some] = self._in_doubt(some, d * self.s[:, some])
         # A column that seems to have no part in a row may have one that the step does not see.
         again[rng.choice(N, _ALONE // 2, replace=False)] = True
         points = np.flatnonzero(again)
@@ -273,6 +276,25 @@ class _Differentiation:
         changed = ((before != J[..., points]) | (self.error[..., points] > 0)).any(axis=(0, 2))
         if changed.any():
             self._check_alone(np.flatnonzero(changed), np.flatnonzero(~again), True)
+
+    def _in_doubt(self, some: slice, d: np.ndarray) -> np.ndarray:
+        """Return which points' J disagrees with differences along d, or has too small a share."""
+        z, f0 = self.z[:, some], self.f0[:, some]
+        shifted = z[:, None] + _NEAR[:, None] * d[:, None]
+        change = self.f(shifted.reshape(len(z), -1)).reshape(len(f0), len(_NEAR), -1)
+        change = change - f0[:, None]
+        value, spread, jump = (_JOINT @ change).swapaxes(0, 1)
+        size = self.J[..., some] * d[self.columns]
+        expected = size.sum(axis=1)
+        np.abs(size, out=size)
+        terms, most = size.sum(axis=1), size.max(axis=1)
+        noise = (16 * self.eps / _NEAR[1]) * (np.abs(f0) + terms)
+        spread = np.abs(spread)
+        right = np.abs(value - expected) <= 1e-4 * spread + noise
+        right &= np.abs(jump) <= 8 * noise + 3e-4 * spread
+        right &= spread <= 1e-6 * terms + noise
+        size[size == 0] = np.inf
+        return ~right.all(axis=0) | (size.min(axis=1) < 1e-6 * most).any(axis=0)
 
     def _check_alone(self, cols: np.ndarray, points: np.ndarray, known: bool) -> None:
         """Check columns of J, or find them where they are not known, one by one."""

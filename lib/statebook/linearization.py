@@ -273,7 +273,8 @@ def linearize(
         inputs, B, D = ["none"], np.zeros((split, 1)), np.zeros((len(outputs), 1))
     labels = {"states": kept[:split], "inputs": inputs, "outputs": outputs}
     name = f"{system.name}_linearized"
-    return control.ss(J[:, :split], B, H[:, :split], D, system.dt, **labels, name=name)
+    matrices = J[:, :split], B, H[:, :split], D, system.dt
+    return control.StateSpace(*matrices, **labels, name=name, remove_useless_states=False)
 
 
 def _outputs(
