@@ -25,6 +25,7 @@ _RADII = _RADIUS * np.array([1.0, 0.5, 0.25])
 _STEPS = np.concatenate([_RADII, -_RADII])
 _NEAR = _RADIUS / 80 * np.array([1.0, 0.5, -1.0, -0.5])  # in all columns at once
 _FAR = 0.31066017177982  # where f is looked at once more: a staircase is flat nearby
+_STEPS_ALONE = np.append(_STEPS, _FAR)
 _CHUNK = 1024  # points that a cache holds, and of arrays that cost no new pages
 _ALONE = 64  # points, up to which every column is checked alone
 _TRUSTED = 1e-6  # relative error up to which differences are evidence
@@ -298,43 +299,45 @@ class _Differentiation:
 
     def _check_alone(self, cols: np.ndarray, points: np.ndarray, known: bool) -> None:
         """Check columns of J, or find them where they are not known, one by one."""
-        chosen, z, s = self.columns[cols], self.z[:, points], self.s[:, points]
-        f0, s_j = self.f0[:, None, points], s[chosen]
-        steps = np.append(_STEPS, _FAR) if known else _STEPS
+        here: Any = ...  # much faster than all numbers
+        if (len(self.J), cols.size, points.size) != self.J.shape:
+            here = np.ix_(np.arange(len(self.J)), cols, points)
+        chosen, z = self.columns[cols], self.z[:, points]
+        f0, z_j, s_j = self.f0[:, None, points], z[chosen], self.s[chosen][:, points]
+        steps = _STEPS_ALONE if known else _STEPS
         shifted = np.empty((len(z), cols.size, steps.size, points.size))
         shifted[:] = z[:, None, None]
         shifted[chosen, np.arange(cols.size)] += steps[:, None] * s_j[:, None]
         values = self.f(shifted.reshape(len(z), -1)).reshape(-1, *shifted.shape[1:])
         self._note_precision(values)
         moved = values - f0[:, :, None]
-        T, spread, jump, bend = np.moveaxis(_WEIGHTS @ moved[:, :, :6], 2, 0)
+        found = (_WEIGHTS @ moved[:, :, :6]).transpose(2, 0, 1, 3)
+        T, (spread, jump, bend) = found[0], np.abs(found[1:])
         size = np.abs(moved)
         change = size[:, :, :6].max(axis=2)
-        here: Any = np.ix_(np.arange(len(self.J)), cols, points)
-        if (here[0].size, cols.size, points.size) == self.J.shape:
-            here = ...  # much faster
         if known:
-            self._drop_residue(here, cols, points, change / s_j)
+            self._drop_residue(here, cols, points, 1e-18 * change / s_j)
         share = self.J[here] * s_j if known else T
         part = np.abs(share)
-        rate = (change / _RADIUS).max(axis=1)
+        rate = change.max(axis=1) / _RADIUS
         row = np.maximum(part.max(axis=1), rate)[:, None]
         noise = (4 * self.eps / _RADII[-1]) * (np.abs(f0) + change)
-        err = np.abs(spread) + noise
-        good = np.abs(jump) <= 20 * noise + 3e-3 * np.abs(bend) + 0.03 * np.abs(spread)
+        err = spread + noise
+        good = jump <= 20 * noise + 3e-3 * bend + 0.03 * spread
         if known:
             good &= err <= 1e-3 * part + 1e-7 * row
-            good &= np.abs(T - share) <= 0.1 * np.abs(spread) + noise
+            good &= np.abs(T - share) <= 0.1 * spread + noise
             # A slope that the rounding of z makes (of cos at pi/2) is a zero.
             even = np.abs(moved[:, :, 0] + moved[:, :, 3]) / _RADIUS**2
-            tiny = part <= 2 * _EPS * np.abs(z[chosen]) / s_j * even
+            tiny = part <= 2 * _EPS * np.abs(z_j) / s_j * even
             # Noise may hide an entry: look further, unless it is itself no more than rounding.
             good &= (noise <= 1e-3 * part) | (part <= 16 * _EPS * row) | tiny
             rest = np.abs(moved - share[:, :, None] * steps[:, None])
             near = np.maximum(rest[:, :, :6].max(axis=2), noise)
             good &= rest[:, :, 6] <= 1e8 * near  # or it was the tread of a stair
             good |= (share == 0) & (np.maximum(change, size[:, :, 6]) == 0)
-            self.J[here] = np.where(tiny & good, 0.0, self.J[here])
+            if (tiny & good & (part > 0)).any():
+                self.J[here] = np.where(tiny & good, 0.0, self.J[here])
         else:
             still = change == 0
             good &= err <= 1e-7 * row
@@ -352,11 +355,11 @@ class _Differentiation:
                     self._search(int(cols[a]), some, known, full[:, some])
 
     def _drop_residue(
-        self, here: Any, cols: np.ndarray, points: np.ndarray, rate: np.ndarray
+        self, here: Any, cols: np.ndarray, points: np.ndarray, floor: np.ndarray
     ) -> None:
         """Put zeros for what the step leaves of a zero slope, as of x^3 at 0."""
         J = self.J
-        suspect = (J[here] != 0) & ~(np.abs(J[here]) > 1e-18 * rate)
+        suspect = (J[here] != 0) & ~(np.abs(J[here]) > floor)
         if suspect.any():
             z, s = self.z[:, points], self.s[:, points]
             again = complex_step(self.f, z, s, self.columns[cols], _COMPLEX_STEP * 1e-10)
