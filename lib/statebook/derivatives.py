@@ -23,8 +23,10 @@ _COMPLEX_STEP = 1e-40  # relative to the scale of a variable
 _RADIUS = 0.019318516525781  # of the first differences: no multiple of anybody's period
 _RADII = _RADIUS * np.array([1.0, 0.5, 0.25])
 _STEPS = np.concatenate([_RADII, -_RADII])
+_NEAR = _RADIUS / 80 * np.array([1.0, 0.5, -1.0, -0.5])  # in all columns at once
 _FAR = 0.31066017177982  # where f is looked at once more: a staircase is flat nearby
-_CHUNK = 4096  # points that a cache holds
+_STEPS_ALONE = np.append(_STEPS, _FAR)
+_CHUNK = 1024  # points that a cache holds, and of arrays that cost no new pages
 _ALONE = 64  # points, up to which every column is checked alone
 _TRUSTED = 1e-6  # relative error up to which differences are evidence
 _EPS = float(np.finfo(float).eps)
@@ -45,7 +47,20 @@ def _weights() -> np.ndarray:
     return np.concatenate([value, spread, (8 * jump[1:] - jump[:1]) / 7, jump[:1]])
 
 
+def _joint_weights() -> np.ndarray:
+    """Return what turns changes of f at _NEAR into differences, (3, 4).
+
+    The slope of order 4, what it differs by from that of order 2, the jump of the slope.
+    """
+    unit, radii = np.eye(4), _NEAR[:2, None]
+    second = (unit[:2] - unit[2:]) / (2 * radii)
+    value = (4 * second[1:] - second[:1]) / 3
+    jump = slopes_jump(unit[:2], unit[2:], np.zeros((1, 4)), radii)
+    return np.concatenate([value, value - second[1:], jump])
+
+
 _WEIGHTS = _weights()
+_JOINT = _joint_weights()
 
 
 class InexactDerivativeWarning(UserWarning):
@@ -250,21 +265,10 @@ class _Differentiation:
         J, N, c = self.J, self.z.shape[1], len(self.columns)
         d = np.zeros((len(self.z), 1))
         d[self.columns, 0] = rng.uniform(0.5, 1, c) * rng.choice([-1, 1], c)
-        d, shrink = d * self.s, 0.05  # J takes in all columns: smaller steps than alone
-        change = np.stack([self.f(self.z + shrink * r * d) - self.f0 for r in _STEPS], axis=1)
-        value, spread, jump, _ = (_WEIGHTS @ change / shrink).swapaxes(0, 1)
-        size = J * d[self.columns]
-        expected = size.sum(axis=1)
-        np.abs(size, out=size)
-        terms, most = size.sum(axis=1), size.max(axis=1)
-        noise = (16 * self.eps / shrink / _RADII[-1]) * (np.abs(self.f0) + terms)
-        spread = np.abs(spread)
-        right = (np.abs(value - expected) <= 0.1 * spread + noise) & (
-            np.abs(jump) <= 8 * noise + 0.03 * spread
-        )
-        right &= spread <= 1e-8 * terms + noise
-        size[size == 0] = np.inf
-        again = ~right.all(axis=0) | (size.min(axis=1) < 1e-6 * most).any(axis=0)
+        again = np.zeros(N, dtype=bool)
+        for first in range(0, N, _CHUNK):
+            some = slice(first, first + _CHUNK)
+            again[some] = self._in_doubt(some, d * self.s[:, some])
         # A column that seems to have no part in a row may have one that the step does not see.
         again[rng.choice(N, _ALONE // 2, replace=False)] = True
         points = np.flatnonzero(again)
@@ -274,52 +278,80 @@ class _Differentiation:
         if changed.any():
             self._check_alone(np.flatnonzero(changed), np.flatnonzero(~again), True)
 
+    def _in_doubt(self, some: slice, d: np.ndarray) -> np.ndarray:
+        """Return which points' J disagrees with differences along d, or has too small a share."""
+        z, f0 = self.z[:, some], self.f0[:, some]
+        shifted = z[:, None] + _NEAR[:, None] * d[:, None]
+        change = self.f(shifted.reshape(len(z), -1)).reshape(len(f0), len(_NEAR), -1)
+        change = change - f0[:, None]
+        value, spread, jump = (_JOINT @ change).swapaxes(0, 1)
+        size = self.J[..., some] * d[self.columns]
+        expected = size.sum(axis=1)
+        np.abs(size, out=size)
+        terms, most = size.sum(axis=1), size.max(axis=1)
+        noise = (16 * self.eps / _NEAR[1]) * (np.abs(f0) + terms)
+        spread = np.abs(spread)
+        right = np.abs(value - expected) <= 1e-4 * spread + noise
+        right &= np.abs(jump) <= 8 * noise + 3e-4 * spread
+        right &= spread <= 1e-6 * terms + noise
+        size[size == 0] = np.inf
+        return ~right.all(axis=0) | (size.min(axis=1) < 1e-6 * most).any(axis=0)
+
     def _check_alone(self, cols: np.ndarray, points: np.ndarray, known: bool) -> None:
         """Check columns of J, or find them where they are not known, one by one."""
-        chosen, z, s = self.columns[cols], self.z[:, points], self.s[:, points]
-        f0, s_j = self.f0[:, None, points], s[chosen]
-        steps = np.append(_STEPS, _FAR) if known else _STEPS
+        here: Any = ...  # much faster than all numbers
+        if (len(self.J), cols.size, points.size) != self.J.shape:
+            here = np.ix_(np.arange(len(self.J)), cols, points)
+        chosen, z = self.columns[cols], self.z[:, points]
+        f0, z_j, s_j = self.f0[:, None, points], z[chosen], self.s[chosen][:, points]
+        steps = _STEPS_ALONE if known else _STEPS
         shifted = np.empty((len(z), cols.size, steps.size, points.size))
         shifted[:] = z[:, None, None]
         shifted[chosen, np.arange(cols.size)] += steps[:, None] * s_j[:, None]
         values = self.f(shifted.reshape(len(z), -1)).reshape(-1, *shifted.shape[1:])
         self._note_precision(values)
         moved = values - f0[:, :, None]
-        T, spread, jump, bend = np.moveaxis(_WEIGHTS @ moved[:, :, :6], 2, 0)
+        found = (_WEIGHTS @ moved[:, :, :6]).transpose(2, 0, 1, 3)
+        T, (spread, jump, bend) = found[0], np.abs(found[1:])
         size = np.abs(moved)
         change = size[:, :, :6].max(axis=2)
-        here: Any = np.ix_(np.arange(len(self.J)), cols, points)
-        if (here[0].size, cols.size, points.size) == self.J.shape:
-            here = ...  # much faster
         if known:
-            self._drop_residue(here, cols, points, change / s_j)
+            self._drop_residue(here, cols, points, 1e-18 * change / s_j)
         share = self.J[here] * s_j if known else T
         part = np.abs(share)
-        rate = (change / _RADIUS).max(axis=1)
+        rate = change.max(axis=1) / _RADIUS
         row = np.maximum(part.max(axis=1), rate)[:, None]
-        noise = (4 * self.eps / _RADII[-1]) * (np.abs(f0) + change)
-        err = np.abs(spread) + noise
-        good = np.abs(jump) <= 20 * noise + 3e-3 * np.abs(bend) + 0.03 * np.abs(spread)
+        rounding = (4 * self.eps / _RADII[-1]) * (np.abs(f0) + change)
         if known:
-            good &= err <= 1e-3 * part + 1e-7 * row
-            off = np.abs(T - share)
-            # An inner cancellation makes more noise than f0 tells: it spreads the differences.
-            blurred = (off <= 3 * np.abs(spread)) & (np.abs(spread) <= 1e-12 * row)
-            good &= blurred | (off <= 0.1 * np.abs(spread) + noise)
             # A slope that the rounding of z makes (of cos at pi/2) is a zero.
             even = np.abs(moved[:, :, 0] + moved[:, :, 3]) / _RADIUS**2
-            tiny = part <= 2 * _EPS * np.abs(z[chosen]) / s_j * even
+            tiny = part <= 2 * _EPS * np.abs(z_j) / s_j * even
+            rest = np.abs(moved - share[:, :, None] * steps[:, None])
+
+        def good_at(noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            """Return which differences are evidence at a level of noise, and their errors."""
+            err = spread + noise
+            good = jump <= 20 * noise + 3e-3 * bend + 0.03 * spread
+            if not known:
+                # A column without effect may be a stair's tread.
+                return good & (err <= 1e-7 * row) & ~(change == 0).all(axis=0), err
+            good &= err <= 1e-3 * part + 1e-7 * row
+            good &= np.abs(T - share) <= 0.1 * spread + noise
             # Noise may hide an entry: look further, unless it is itself no more than rounding.
             good &= (noise <= 1e-3 * part) | (part <= 16 * _EPS * row) | tiny
-            rest = np.abs(moved - share[:, :, None] * steps[:, None])
             near = np.maximum(rest[:, :, :6].max(axis=2), noise)
             good &= rest[:, :, 6] <= 1e8 * near  # or it was the tread of a stair
-            good |= (share == 0) & (np.maximum(change, size[:, :, 6]) == 0)
-            self.J[here] = np.where(tiny & good, 0.0, self.J[here])
+            return good | ((share == 0) & (np.maximum(change, size[:, :, 6]) == 0)), err
+
+        good, err = good_at(rounding)
+        if not good.all():  # f may make more of rounding than its value tells
+            measured = (4 / _RADII[-1]) * self._measured_noise(points)[:, None]
+            good, err = good_at(np.maximum(rounding, measured))
+        if known:
+            if (tiny & good & (part > 0)).any():
+                self.J[here] = np.where(tiny & good, 0.0, self.J[here])
         else:
             still = change == 0
-            good &= err <= 1e-7 * row
-            good &= ~still.all(axis=0)  # a column without effect may be a stair's tread
             self.J[here] = np.where(np.abs(T) <= err, 0.0, T) / s_j
             self.error[here] = np.where(still, 0.0, err) / s_j
             self.inexact[here] = ~still
@@ -332,12 +364,20 @@ class _Differentiation:
                 for some in np.array_split(points[bad], -(-bad.size // 256)):
                     self._search(int(cols[a]), some, known, full[:, some])
 
+    def _measured_noise(self, points: np.ndarray) -> np.ndarray:
+        """Return by how much f changes when all of z moves by an ulp, (n, P)."""
+        z = self.z[:, points]
+        ulps = np.random.default_rng(1).choice([-1, 1], (len(z), 4, 1)) * _EPS
+        values = self.f((z[:, None] * (1 + ulps)).reshape(len(z), -1)).astype(float)
+        moved = values.reshape(-1, 4, points.size) - self.f0[:, None, points]
+        return np.nan_to_num(np.abs(moved), posinf=0.0).max(axis=1)
+
     def _drop_residue(
-        self, here: Any, cols: np.ndarray, points: np.ndarray, rate: np.ndarray
+        self, here: Any, cols: np.ndarray, points: np.ndarray, floor: np.ndarray
     ) -> None:
         """Put zeros for what the step leaves of a zero slope, as of x^3 at 0."""
         J = self.J
-        suspect = (J[here] != 0) & ~(np.abs(J[here]) > 1e-18 * rate)
+        suspect = (J[here] != 0) & ~(np.abs(J[here]) > floor)
         if suspect.any():
             z, s = self.z[:, points], self.s[:, points]
             again = complex_step(self.f, z, s, self.columns[cols], _COMPLEX_STEP * 1e-10)
@@ -357,7 +397,9 @@ class _Differentiation:
             return self.f(shifted.reshape(len(z), -1)).reshape(-1, *steps.shape).astype(float)
 
         exact = J[:, a, points] if known else None
-        ladder = descend(along, self.f0[:, points], z[j], s, exact, self.eps, 1e-9 * row / s)
+        rough = self._measured_noise(points)
+        f0, floor = self.f0[:, points], 1e-9 * row / s
+        ladder = descend(along, f0, z[j], s, exact, self.eps, floor, rough)
         self._refuse(ladder, j)
         value, err = ladder.value, ladder.error
         if exact is None:

@@ -88,6 +88,7 @@ def descend(
     exact: np.ndarray | None,
     eps: float,
     floor: np.ndarray,
+    least: np.ndarray,
 ) -> Ladder:
     """Descend the ladder and take the best rung, row by row and point by point.
 
@@ -104,6 +105,8 @@ def descend(
         Relative precision of what f returns.
     floor : array, shape (n, P)
         Slopes that are negligible beside the other variables': they may be noise all along.
+    least : array, shape (n, P)
+        Noise of f at the point, at least.
     """
     top = _TOP * np.clip(1.0, s, s * _ABOVE)
     rungs = _RUNGS + int(np.ceil(np.log2((top / s).max()))) + (_AT_ZERO if (z == 0).any() else 0)
@@ -126,7 +129,7 @@ def descend(
     change = np.maximum(np.abs(up - start), np.abs(down - start))
     place = np.clip(np.searchsorted(-_CLOSE, -r[:, 0] / top[0], "right") - 1, 0, None)
     blurred = rough[:, place] * (r / (_CLOSE[place, None] * top))
-    noise = rounding + measured[:, None] + blurred
+    noise = np.maximum(rounding + measured[:, None] + blurred, least[:, None])
     noise = noise + np.nan_to_num(_EPS * np.abs(z) * change / r, posinf=0.0)  # z + r is rounded
     stairs = np.zeros(f0.shape)
     for slope in [np.zeros(f0.shape)] if exact is None else [np.zeros(f0.shape), exact]:

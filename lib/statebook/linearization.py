@@ -160,8 +160,9 @@ def jacobian_at_rest(
     def residual(z: np.ndarray) -> np.ndarray:
         return system.probe(z[:n], z[n:], t) - (z[:n] if system.discrete else 0.0)
 
-    states = np.flatnonzero(kept < n)
-    scaled, size = slope[:, states] * s[kept[states]], s[kept[states]]
+    states = kept[kept < n]
+    size = s[states]
+    scaled = slope[:, kept < n] * size
     terms = np.abs(slope) @ np.abs(z[kept])
     doubtful = flat.any() or error.any() or (np.abs(rest) > 1e-12 * terms).any()
     if not doubtful and _is_sound(scaled):
@@ -182,7 +183,7 @@ def jacobian_at_rest(
     for move in open_to * size:
         if (np.abs(move) > _BESIDE * size).any():
             other = x0.copy()
-            other[kept[states]] -= move
+            other[states] -= move
             try:
                 changed = jacobian(system, other, u0, t, columns=columns, scale=scale)[0][0] - J
             except ValueError:  # a kink beside the point
@@ -273,7 +274,8 @@ def linearize(
         inputs, B, D = ["none"], np.zeros((split, 1)), np.zeros((len(outputs), 1))
     labels = {"states": kept[:split], "inputs": inputs, "outputs": outputs}
     name = f"{system.name}_linearized"
-    return control.ss(J[:, :split], B, H[:, :split], D, system.dt, **labels, name=name)
+    matrices = J[:, :split], B, H[:, :split], D, system.dt
+    return control.StateSpace(*matrices, **labels, name=name, remove_useless_states=False)
 
 
 def _outputs(

@@ -153,10 +153,11 @@ def takes_batches(
         except Exception:  # whatever a function does with an array it was not written for
             return False
     expected = np.stack(columns, axis=-1) if len({c.shape for c in columns}) == 1 else None
-    return (
-        expected is not None
-        and batch.shape == expected.shape
-        and bool(np.allclose(batch, expected, rtol=rtol, atol=0, equal_nan=True))
+    if expected is None or batch.shape != expected.shape:
+        return False
+    # Equal to the bit, most are: that is found much faster.
+    return bool((batch == expected).all()) or bool(
+        np.allclose(batch, expected, rtol=rtol, atol=0, equal_nan=True)
     )
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from statebook import _validate
+from statebook.models.base import Model
 from statebook.probes import (
     arguments_of,
     depends_on_time,
@@ -227,8 +228,10 @@ def as_system(
 
 
 def _from_model(model: Any) -> System:
+    plain = getattr(type(model), "dynamics", None) is Model.dynamics
+    f = model.rate if plain else model.dynamics  # dynamics checks once more what System does
     return System(
-        rate=lambda x, u, t: model.dynamics(x, u),
+        rate=lambda x, u, t: f(x, u),
         states=tuple(model.states),
         inputs=tuple(model.inputs),
         linear=getattr(model, "linear", False),
