@@ -267,6 +267,21 @@ def test_the_copy_runs_and_every_answer_is_still_open(path):
     assert not any(results)
 
 
+@pytest.mark.parametrize("path", SOLVED, ids=lambda path: path.stem)
+def test_nbgrader_finds_the_points_and_leaves_the_rest_to_the_student(path):
+    copy = without_solutions(json.loads(path.read_text(encoding="utf-8")))
+    cells = [c for c in copy["cells"] if "nbgrader" in c["metadata"]]
+    marks = [c["metadata"]["nbgrader"] for c in cells]
+    # nbgrader empties a "solution" cell without marks, and grades a cell that is locked.
+    assert all(m["grade"] and m["locked"] and not m["solution"] for m in marks)
+    assert all(c["cell_type"] == "code" and m["schema_version"] == 3 for c, m in zip(cells, marks, strict=True))
+    assert len({m["grade_id"] for m in marks}) == len(marks)
+    tasks = [task for task in EXERCISES if task.id[:2] == path.stem[:2]]
+    assert [m["points"] for m in marks] == [task.points for task in tasks]
+    # A number as the last expression is the cell's part of its points.
+    assert all(c["source"].splitlines()[-1] == "result.points" for c in cells)
+
+
 def test_students_work_is_not_overwritten(tmp_path, capsys):
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(ValueError, match="must be new or empty"):
