@@ -274,7 +274,10 @@ def test_nbgrader_finds_the_points_and_leaves_the_rest_to_the_student(path):
     marks = [c["metadata"]["nbgrader"] for c in cells]
     # nbgrader empties a "solution" cell without marks, and grades a cell that is locked.
     assert all(m["grade"] and m["locked"] and not m["solution"] for m in marks)
-    assert all(c["cell_type"] == "code" and m["schema_version"] == 3 for c, m in zip(cells, marks, strict=True))
+    assert all(
+        c["cell_type"] == "code" and m["schema_version"] == 3
+        for c, m in zip(cells, marks, strict=True)
+    )
     assert len({m["grade_id"] for m in marks}) == len(marks)
     tasks = [task for task in EXERCISES if task.id[:2] == path.stem[:2]]
     assert [m["points"] for m in marks] == [task.points for task in tasks]
