@@ -58,8 +58,9 @@ class Exercise:
         with the solution.
     judge : callable, optional
         judge(answer, p) returns what is wrong, or nothing: instead of a comparison with the
-        solution, where many answers are right. Each call of an answer that is a function runs
-        in a process of its own; the judge bounds its values before it simulates with them.
+        solution, where many answers are right. It gets finite numbers in the solution's shape,
+        or a function whose every call runs in a process of its own; the judge bounds such
+        values before it simulates with them.
     """
 
     id: str

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from statebook.grading.exercise import Exercise, Parameters, find_exercise, student_named
-from statebook.grading.sandbox import AnswerError, Apart, kind, told, too_many
+from statebook.grading.sandbox import AnswerError, Apart, as_array, kind, told
 
 # A wrong number that is the right one times one of these comes from a slip of this kind.
 _FACTORS = {
@@ -92,7 +92,7 @@ def grade(id: str, answer: Any, student: str | int) -> Grade:
     except ModuleNotFoundError:
         raise  # no fault of the answer
     except Exception as error:  # whatever an answer is, the student gets a sentence
-        trouble = f"this answer could not be read ({told(error)})"
+        trouble = f"this answer does not work ({told(error)})"
     points = 0 if trouble else task.points
     message = trouble or f"yes ({points} of {task.points} points)"
     return Grade(id, not trouble, message, points)
@@ -102,8 +102,6 @@ def _trouble(task: Exercise, answer: Any, p: Parameters, student: str | int) -> 
     if answer is None or answer is ...:
         return f"there is no answer yet: replace {answer!r}"
     wanted = task.solution(p)
-    if trouble := too_many(answer):
-        return trouble
     if callable(wanted) and not callable(answer):
         return f"the answer must be a function, got {kind(answer)}"
     if callable(answer) and not callable(wanted):
@@ -119,7 +117,10 @@ def _trouble(task: Exercise, answer: Any, p: Parameters, student: str | int) -> 
                     raise
             return function.trouble or trouble
     if task.judge is not None:
-        with Apart(partial(_judged, task.id, student, np.asarray(answer))) as verdict:
+        value = as_array(answer)
+        if trouble := _not_like(value, np.asarray(wanted, dtype=float), answer):
+            return trouble
+        with Apart(partial(_judged, task.id, student, value)) as verdict:
             return str(verdict.reply())
     return compare(answer, wanted, task, lambda slip: slip(p))
 
@@ -162,15 +163,9 @@ def compare(
             return ""
         hints = [s.hint for s in task.slips if slipped(s.answer).casefold() == same]
         return hints[0] if hints else "that is not it"
-    value, wanted = np.asarray(answer), np.asarray(wanted, dtype=float)
-    if value.dtype.kind not in "iuf":
-        return f"the answer must be {kind(wanted)}, got {kind(answer)}"
-    if value.shape != wanted.shape:
-        turned = wanted.ndim == 2 and value.shape == wanted.shape[::-1]
-        also = "; is it transposed?" if turned else ""
-        return f"the answer must have shape {wanted.shape}, got {value.shape}{also}"
-    if not np.isfinite(value).all():
-        return "the answer must be finite"
+    value, wanted = as_array(answer), np.asarray(wanted, dtype=float)
+    if trouble := _not_like(value, wanted, answer):
+        return trouble
     if _close(value, wanted, task.rtol):
         return ""
     for slip in task.slips:
@@ -184,6 +179,17 @@ def compare(
     if _close(np.abs(value), np.abs(wanted), task.rtol):
         return "look at the signs"
     return "that is not it"
+
+
+def _not_like(value: np.ndarray, wanted: np.ndarray, answer: Any) -> str:
+    """Return what is wrong with the type or shape of an answer, or nothing."""
+    if value.dtype.kind not in "iuf":
+        return f"the answer must be {kind(wanted)}, got {kind(answer)}"
+    if value.shape != wanted.shape:
+        turned = wanted.ndim == 2 and value.shape == wanted.shape[::-1]
+        also = "; is it transposed?" if turned else ""
+        return f"the answer must have shape {wanted.shape}, got {value.shape}{also}"
+    return "" if np.isfinite(value).all() else "the answer must be finite"
 
 
 def _close(value: np.ndarray, wanted: np.ndarray, rtol: float) -> bool:

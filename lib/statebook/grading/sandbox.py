@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import io
 import json
 import os
 import pickle
@@ -9,14 +11,24 @@ import signal
 import subprocess
 import sys
 import threading
+from collections import ChainMap
 from collections.abc import Callable, Sized
 from contextlib import suppress
+from numbers import Real
 from typing import Any
 
 import numpy as np
 
 TIMEOUT = 30.0  # [s], of all calls together
 MOST = 10_000  # entries of an answer
+
+
+# cloudpickle takes a cached function for one of a module, where the child cannot find it.
+_CACHED = type(functools.lru_cache(int))
+
+
+def _uncached(function: Any) -> tuple[Any, tuple[Any]]:
+    return functools.lru_cache, (function.__wrapped__,)
 
 
 class AnswerError(Exception):
@@ -54,7 +66,12 @@ class Apart:
                 'grading functions needs cloudpickle: pip install "statebook[lab]"'
             ) from error
         try:
-            self._packed = cloudpickle.dumps(function)
+            packed = io.BytesIO()
+            table = ChainMap({_CACHED: _uncached}, cloudpickle.Pickler.dispatch_table)
+            type("Pickler", (cloudpickle.Pickler,), {"dispatch_table": table})(packed).dump(
+                function
+            )
+            self._packed = packed.getvalue()
         except Exception as error:
             raise AnswerError(
                 f"your function cannot be taken to a process of its own ({told(error)}); it must"
@@ -75,7 +92,7 @@ class Apart:
         self._timer.daemon = True
         self._timer.start()
         with suppress(OSError):
-            self._send(self._packed)
+            self._send(pickle.dumps(self._packed))
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -144,23 +161,36 @@ def told(error: BaseException) -> str:
     return line if len(line) <= 200 else line[:197] + "..."
 
 
+def as_array(value: Any) -> np.ndarray:
+    """Return a copy of a value as an array; of a mapping or a set as an object.
+
+    Raises
+    ------
+    AnswerError
+        It has far too many entries, which are not looked at.
+    """
+    if isinstance(value, Real) and not isinstance(value, bool):
+        return np.array(float(value))  # an int of any length and a Fraction too
+    if isinstance(value, dict | set):
+        return np.array(value, dtype=object)
+    if isinstance(value, np.ndarray):
+        many = value.size
+    else:
+        many = len(value) if isinstance(value, Sized) and not isinstance(value, str) else 0
+    if many > MOST:
+        raise AnswerError(f"an answer has {MOST} entries at most, got {many}")
+    return np.array(value)
+
+
 def kind(value: Any) -> str:
     """Return what a value is, in words."""
     if isinstance(value, str):
         return "a text"
-    if isinstance(value, complex):
-        return "a complex number"
-    array = np.empty(0, object) if isinstance(value, dict | set) else np.asarray(value)
+    array = as_array(value)
     if array.dtype.kind not in "iuf":
         name = type(value).__name__[:40]
-        return f"an array of {array.dtype}" if name == "ndarray" else f"a {name}"
+        return f"an array of {array.dtype}" if name == "ndarray" else f"a value of type {name}"
     return "a number" if array.shape == () else f"an array of shape {array.shape}"
-
-
-def too_many(value: Any) -> str:
-    """Return that a value has far too many entries, or nothing; it is not looked at."""
-    many = isinstance(value, Sized) and not isinstance(value, str) and len(value) > MOST
-    return f"an answer has {MOST} entries at most, got {len(value)}" if many else ""
 
 
 def serve() -> None:
@@ -173,7 +203,7 @@ def serve() -> None:
         os.dup2(nothing, stream)
     failed, function = "", None
     try:
-        function = cloudpickle.load(requests)
+        function = cloudpickle.loads(pickle.load(requests))
     except BaseException as error:
         failed = f"your function cannot be taken to a process of its own ({told(error)})"
     while True:
@@ -194,13 +224,13 @@ def _called(function: Any, arguments: tuple[Any, ...]) -> tuple[Any, str]:
             return value[:1000], ""
         if value is None:
             return "", f"your function returns None{where}; does it end in return?"
-        if trouble := too_many(value):
-            return "", trouble
-        found = np.array(value)  # at once: it may be the function's own buffer
+        found = as_array(value)  # at once: it may be the function's own buffer
         if found.dtype.kind not in "iuf" or found.size > MOST:
             return "", f"your function must return numbers, got {kind(value)}{where}"
         if any(not np.array_equal(a, b) for a, b in zip(arguments, given, strict=True)):
             return "", "your function changes its argument; work on a copy"
+    except AnswerError as error:
+        return "", f"{error}{where}"
     except BaseException as error:
-        return "", f"your function raised {told(error)}{where}"
+        return "", f"your {'function' if arguments else 'answer'} raised {told(error)}{where}"
     return found.astype(float).tolist(), ""
