@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import doctest
 import functools
 import json
 import re
@@ -384,6 +385,12 @@ def test_nbgrader_finds_the_points_and_leaves_the_rest_to_the_student(path):
     assert [m["points"] for m in marks] == [task.points for task in tasks]
     # A number as the last expression is the cell's part of its points.
     assert all(c["source"].splitlines()[-1] == "result.points" for c in cells)
+
+
+def test_page_on_teaching_shows_what_happens():
+    page = WORKBOOK.parent / "book" / "teach.md"
+    results = doctest.testfile(str(page), module_relative=False)
+    assert results.attempted and not results.failed
 
 
 def test_students_work_is_not_overwritten(tmp_path, capsys):
