@@ -131,7 +131,7 @@ def verdict(answer, wanted, slips=()):
         (Fraction(2), 2.0, ""),
         (10**30, 1e30, ""),
         (True, 1.0, "got a value of type bool"),
-        ([None], 2.0, "must be a number, got a value of type list"),
+        ([None], 2.0, "must be a number, got a list of other things"),
         (iter([2.0]), 2.0, "must be a number"),
         ([[1, 3], [2, 4]], [[1, 2], [3, 4]], "transposed"),
         ([[1, 4], [2, 5], [3, 6]], [[1, 2, 3], [4, 5, 6]], "is it transposed"),

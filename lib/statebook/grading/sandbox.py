@@ -189,6 +189,8 @@ def kind(value: Any) -> str:
     array = as_array(value)
     if array.dtype.kind not in "iuf":
         name = type(value).__name__[:40]
+        if isinstance(value, list | tuple):
+            return f"a {name} of other things than real numbers"
         return f"an array of {array.dtype}" if name == "ndarray" else f"a value of type {name}"
     return "a number" if array.shape == () else f"an array of shape {array.shape}"
 
