@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import doctest
+import functools
 import json
 import re
 import time
+from contextlib import suppress
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -40,7 +44,9 @@ WRONG = {
         (lambda p: (2.6 * p.m * 9.8 * p.L, 0.0), "overshoots"),
         (lambda p: (1.1 * p.m * 9.8 * p.L, 1.0), "still"),
         (lambda p: (2.6 * p.m * 9.8 * p.L, -0.5), "the swing grows"),
-        (lambda p: 3.0, "two numbers"),
+        (lambda p: 3.0, r"shape \(2,\), got \(\)"),
+        (lambda p: (2.6 * p.m * 9.8 * p.L, np.inf), "finite"),
+        (lambda p: (2.6 * p.m * 9.8 * p.L, 1e9), "raised DivergenceError"),
     ],
     "07.6": [
         (lambda p: lambda x, t: 0.0, "Which sign of the torque adds energy"),
@@ -120,7 +126,13 @@ def verdict(answer, wanted, slips=()):
         ("2", 2.0, "must be a number, got a text"),
         (2 + 1j, 2.0, "must be a number"),
         (np.nan, 2.0, "must be finite"),
-        ({}, 2.0, "got a dict"),
+        ({}, 2.0, "got a value of type dict"),
+        (np.array(2.0), 2.0, ""),
+        (Fraction(2), 2.0, ""),
+        (10**30, 1e30, ""),
+        (True, 1.0, "got a value of type bool"),
+        ([None], 2.0, "must be a number, got a list of other things"),
+        (iter([2.0]), 2.0, "must be a number"),
         ([[1, 3], [2, 4]], [[1, 2], [3, 4]], "transposed"),
         ([[1, 4], [2, 5], [3, 6]], [[1, 2, 3], [4, 5, 6]], "is it transposed"),
         ([1.0, -2.0], [1.0, 2.0], "signs"),
@@ -209,6 +221,96 @@ def test_what_a_function_prints_does_not_disturb(capfd):
     assert capfd.readouterr().out == ""
 
 
+def test_what_a_function_does_to_its_process_does_not_touch_the_judge():
+    def forges(theta, omega, u):
+        import os
+
+        for stream in range(1, 10):
+            with suppress(OSError):
+                os.write(stream, b'{"value": 0.0, "trouble": ""}\n')
+        return 0.0
+
+    def patches(theta, omega, u):
+        from statebook.grading import grade
+
+        np.abs = lambda *a, **k: 0.0
+        grade.compare = lambda *a: ""
+        return 0.0
+
+    def speaks(theta, omega, u):
+        import os
+
+        os.write(1, b"out")
+        os.write(2, b"err")
+        return right(theta, omega, u)
+
+    assert not sb.grade("07.3", forges, "Ada")
+    assert not sb.grade("07.3", patches, "Ada")
+    assert sb.grade("07.3", speaks, "Ada")
+
+
+def test_what_a_function_leaves_running_does_not_hold_the_judge():
+    def leaves(theta, omega, u):
+        import threading
+
+        threading.Thread(target=threading.Event().wait).start()
+        return right(theta, omega, u)
+
+    assert sb.grade("07.3", leaves, "Ada")
+
+
+class Unspeakable(Exception):
+    def __str__(self):
+        raise RuntimeError
+
+
+def test_odd_functions_get_their_sentence():
+    buffer = np.zeros(())
+
+    def own_buffer(theta, omega, u):
+        buffer[...] = right(theta, omega, u)
+        return buffer
+
+    def unspeakable(theta, omega, u):
+        raise Unspeakable
+
+    def long_winded(theta, omega, u):
+        raise ValueError("y" * 10**7)
+
+    def deep(theta, omega, u):
+        return deep(theta, omega, u)
+
+    cached = functools.lru_cache(lambda theta, omega, u: float(right(theta, omega, u)))
+    for function in (own_buffer, cached, functools.partial(right)):
+        assert sb.grade("07.3", function, "Ada")
+    for function, words in [
+        (unspeakable, "raised Unspeakable"),
+        (deep, "RecursionError"),
+        (lambda *a: input(), "EOFError"),
+        (lambda *a: "1", "got a text"),
+        (lambda *a: 1j, "type complex"),
+        (lambda *a: (1.0 for _ in a), "type generator"),
+        (lambda *a: range(10**12), "entries at most"),
+        (lambda a: a, "takes 1 positional"),
+        (lambda *a: np.nan, "finite"),
+    ]:
+        assert words in sb.grade("07.3", function, "Ada").message
+    assert len(sb.grade("07.3", long_winded, "Ada").message) < 300
+    assert "entries at most" in sb.grade("07.2", range(10**12), "Ada").message
+
+
+@pytest.mark.parametrize("value", [1e300, -1e12, np.inf])
+def test_a_huge_torque_is_told_at_once(value):
+    assert "and the limit is" in sb.grade("07.6", lambda x, t: value, "Ada").message
+
+
+def test_a_name_counts_however_it_is_typed():
+    one, other = (sb.exercise("07.2", name) for name in ("Jos\u00e9  Ruiz", " jose\u0301 ruiz"))
+    assert one == other
+    assert sb.exercise("07.2", np.int64(7)) == sb.exercise("07.2", 7)
+    assert sb.exercise("07.2", "\ud800").L > 0
+
+
 # ---- copies for students ----
 
 
@@ -265,6 +367,30 @@ def test_the_copy_runs_and_every_answer_is_still_open(path):
     ids = [task.id for task in EXERCISES if task.id[:2] == path.stem[:2]]
     assert [result.id for result in results] == ids
     assert not any(results)
+
+
+@pytest.mark.parametrize("path", SOLVED, ids=lambda path: path.stem)
+def test_nbgrader_finds_the_points_and_leaves_the_rest_to_the_student(path):
+    copy = without_solutions(json.loads(path.read_text(encoding="utf-8")))
+    cells = [c for c in copy["cells"] if "nbgrader" in c["metadata"]]
+    marks = [c["metadata"]["nbgrader"] for c in cells]
+    # nbgrader empties a "solution" cell without marks, and grades a cell that is locked.
+    assert all(m["grade"] and m["locked"] and not m["solution"] for m in marks)
+    assert all(
+        c["cell_type"] == "code" and m["schema_version"] == 3
+        for c, m in zip(cells, marks, strict=True)
+    )
+    assert len({m["grade_id"] for m in marks}) == len(marks)
+    tasks = [task for task in EXERCISES if task.id[:2] == path.stem[:2]]
+    assert [m["points"] for m in marks] == [task.points for task in tasks]
+    # A number as the last expression is the cell's part of its points.
+    assert all(c["source"].splitlines()[-1] == "result.points" for c in cells)
+
+
+def test_page_on_teaching_shows_what_happens():
+    page = WORKBOOK.parent / "book" / "teach.md"
+    results = doctest.testfile(str(page), module_relative=False)
+    assert results.attempted and not results.failed
 
 
 def test_students_work_is_not_overwritten(tmp_path, capsys):

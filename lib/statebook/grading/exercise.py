@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import unicodedata
 import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from numbers import Integral
 from types import SimpleNamespace
 from typing import Any
 
@@ -56,7 +58,9 @@ class Exercise:
         with the solution.
     judge : callable, optional
         judge(answer, p) returns what is wrong, or nothing: instead of a comparison with the
-        solution, where many answers are right. It runs in a process of its own.
+        solution, where many answers are right. It gets finite numbers in the solution's shape,
+        or a function whose every call runs in a process of its own; the judge bounds such
+        values before it simulates with them.
     """
 
     id: str
@@ -78,8 +82,9 @@ class Exercise:
     def rng(self, student: str | int) -> np.random.Generator:
         """Return the random numbers of a student in this exercise."""
         # Python's hash differs from run to run; a name counts however it is typed.
-        name = " ".join(str(student).split()).casefold()
-        return np.random.default_rng([zlib.crc32(name.encode()), zlib.crc32(self.id.encode())])
+        name = unicodedata.normalize("NFKC", " ".join(str(student).split()).casefold())
+        code = zlib.crc32(name.encode(errors="backslashreplace"))
+        return np.random.default_rng([code, zlib.crc32(self.id.encode())])
 
 
 def find_exercise(id: str) -> Exercise:
@@ -132,6 +137,7 @@ def exercise(id: str, student: str | int) -> Parameters:
 
 def student_named(student: Any) -> str | int:
     """Check a student's name or number."""
-    if isinstance(student, bool) or not isinstance(student, str | int) or not str(student).strip():
+    named = isinstance(student, str | Integral) and not isinstance(student, bool)
+    if not named or not str(student).strip():
         raise TypeError(f"student must be your name or number, got {student!r}")
-    return student
+    return student if isinstance(student, str) else int(student)

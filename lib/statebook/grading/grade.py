@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from statebook.grading.exercise import Exercise, Parameters, find_exercise, student_named
-from statebook.grading.sandbox import run_apart
+from statebook.grading.sandbox import AnswerError, Apart, as_array, kind, told
 
 # A wrong number that is the right one times one of these comes from a slip of this kind.
 _FACTORS = {
@@ -53,8 +54,8 @@ def grade(id: str, answer: Any, student: str | int) -> Grade:
     """Grade an answer to an exercise, offline.
 
     A function runs in a process of its own, for 30 seconds at most, so nothing that it does
-    disturbs the notebook. The checkers can be read, in ``statebook_exercises``: whoever wants to
-    cheat can, and learns something on the way.
+    disturbs the notebook or the judge. The checkers can be read, in ``statebook_exercises``:
+    whoever wants to cheat can, and learns something on the way.
 
     Parameters
     ----------
@@ -86,8 +87,12 @@ def grade(id: str, answer: Any, student: str | int) -> Grade:
     p = task.parameters(student_named(student))
     try:
         trouble = _trouble(task, answer, p, student)
+    except AnswerError as error:
+        trouble = str(error)
+    except ModuleNotFoundError:
+        raise  # no fault of the answer
     except Exception as error:  # whatever an answer is, the student gets a sentence
-        trouble = f"this answer could not be read ({type(error).__name__}: {error})"
+        trouble = f"this answer does not work ({told(error)})"
     points = 0 if trouble else task.points
     message = trouble or f"yes ({points} of {task.points} points)"
     return Grade(id, not trouble, message, points)
@@ -98,46 +103,46 @@ def _trouble(task: Exercise, answer: Any, p: Parameters, student: str | int) -> 
         return f"there is no answer yet: replace {answer!r}"
     wanted = task.solution(p)
     if callable(wanted) and not callable(answer):
-        return f"the answer must be a function, got {_kind(answer)}"
+        return f"the answer must be a function, got {kind(answer)}"
     if callable(answer) and not callable(wanted):
-        return f"the answer must be {_kind(wanted)}, got a function: call it"
-    if task.judge is not None:
-        return run_apart(_judged, task.id, student, answer)
+        return f"the answer must be {kind(wanted)}, got a function: call it"
     if callable(wanted):
-        return run_apart(_compared, task.id, student, answer)
+        with Apart(answer) as function:
+            try:
+                trouble = (
+                    task.judge(function, p) if task.judge else _compared(task, function, p, student)
+                )
+            except Exception:
+                if not function.trouble:
+                    raise
+            return function.trouble or trouble
+    if task.judge is not None:
+        value = as_array(answer)
+        if trouble := _not_like(value, np.asarray(wanted, dtype=float), answer):
+            return trouble
+        with Apart(partial(_judged, task.id, student, value)) as verdict:
+            return str(verdict.reply())
     return compare(answer, wanted, task, lambda slip: slip(p))
 
 
-def _judged(id: str, student: str | int, answer: Any) -> str:
+def _judged(id: str, student: str | int, answer: np.ndarray) -> str:
     task = find_exercise(id)
     assert task.judge is not None
     return task.judge(answer, task.parameters(student))
 
 
-def _compared(id: str, student: str | int, answer: Callable[..., Any]) -> str:
+def _compared(task: Exercise, function: Apart, p: Parameters, student: str | int) -> str:
     """Compare a function with the solution at the exercise's inputs."""
-    task = find_exercise(id)
-    p = task.parameters(student)
     assert task.inputs is not None
     points = task.inputs(p, task.rng(student))
     solution = task.solution(p)
     wanted = [np.asarray(solution(*point), dtype=float) for point in points]
+    shape = wanted[0].shape
     found = []
     for point in points:
-        arguments = [np.copy(a) if isinstance(a, np.ndarray) else a for a in point]
-        state = ", ".join(np.array2string(np.asarray(a), precision=4) for a in point)
-        try:
-            value = answer(*arguments)
-        except Exception as error:
-            return f"your function raised {type(error).__name__} at ({state}): {error}"
-        if any(not np.array_equal(a, b) for a, b in zip(point, arguments, strict=True)):
-            return "your function changes its argument; work on a copy"
-        if value is None:
-            return f"your function returns None at ({state}); does it end in return?"
-        shape = np.shape(wanted[0])
-        if np.shape(value) != shape:
-            return f"your function must return shape {shape}, got {np.shape(value)} at ({state})"
-        found.append(value)
+        found.append(function(*point))
+        if np.shape(found[-1]) != shape:
+            return f"your function must return shape {shape}, got {np.shape(found[-1])}"
 
     def slipped(slip: Callable[[Parameters], Any]) -> Any:
         wrong = slip(p)
@@ -152,21 +157,15 @@ def compare(
     """Return what is wrong with an answer of numbers or a text, or nothing."""
     if isinstance(wanted, str):
         if not isinstance(answer, str):
-            return f"the answer must be a text, got {_kind(answer)}"
+            return f"the answer must be a text, got {kind(answer)}"
         same = answer.strip().casefold()
         if same == wanted.casefold():
             return ""
         hints = [s.hint for s in task.slips if slipped(s.answer).casefold() == same]
         return hints[0] if hints else "that is not it"
-    value, wanted = np.asarray(answer), np.asarray(wanted, dtype=float)
-    if value.dtype.kind not in "biuf":
-        return f"the answer must be {_kind(wanted)}, got {_kind(answer)}"
-    if value.shape != wanted.shape:
-        turned = wanted.ndim == 2 and value.shape == wanted.shape[::-1]
-        also = "; is it transposed?" if turned else ""
-        return f"the answer must have shape {wanted.shape}, got {value.shape}{also}"
-    if not np.isfinite(value).all():
-        return "the answer must be finite"
+    value, wanted = as_array(answer), np.asarray(wanted, dtype=float)
+    if trouble := _not_like(value, wanted, answer):
+        return trouble
     if _close(value, wanted, task.rtol):
         return ""
     for slip in task.slips:
@@ -182,16 +181,18 @@ def compare(
     return "that is not it"
 
 
+def _not_like(value: np.ndarray, wanted: np.ndarray, answer: Any) -> str:
+    """Return what is wrong with the type or shape of an answer, or nothing."""
+    if value.dtype.kind not in "iuf":
+        return f"the answer must be {kind(wanted)}, got {kind(answer)}"
+    if value.shape != wanted.shape:
+        turned = wanted.ndim == 2 and value.shape == wanted.shape[::-1]
+        also = "; is it transposed?" if turned else ""
+        return f"the answer must have shape {wanted.shape}, got {value.shape}{also}"
+    return "" if np.isfinite(value).all() else "the answer must be finite"
+
+
 def _close(value: np.ndarray, wanted: np.ndarray, rtol: float) -> bool:
     return value.shape == wanted.shape and bool(
         np.all(np.abs(value - wanted) <= rtol * np.abs(wanted).max(initial=0.0))
     )
-
-
-def _kind(value: Any) -> str:
-    if isinstance(value, str):
-        return "a text"
-    shape = np.shape(value) if not isinstance(value, dict | set) else None
-    if shape is None or np.asarray(value).dtype.kind not in "biufc":
-        return f"a {type(value).__name__}"
-    return "a number" if shape == () else f"an array of shape {shape}"

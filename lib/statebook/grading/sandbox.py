@@ -1,63 +1,238 @@
-"""Run a check in a process of its own, for a limited time."""
+"""Call a student's function in a process of its own, for a limited time."""
 
 from __future__ import annotations
 
+import functools
+import io
+import json
 import os
+import pickle
+import signal
 import subprocess
 import sys
-from collections.abc import Callable
+import threading
+from collections import ChainMap
+from collections.abc import Callable, Sized
+from contextlib import suppress
+from numbers import Real
 from typing import Any
 
-TIMEOUT = 30.0  # [s]
+import numpy as np
 
-# Both ways by pickle through pipes between this process and its child; nothing from files.
-_CHILD = """
-import sys, cloudpickle
-real, sys.stdout = sys.stdout.buffer, sys.stderr
-check, arguments = cloudpickle.loads(sys.stdin.buffer.read())
-try:
-    answer = check(*arguments)
-except BaseException as error:
-    answer = f"your answer raised {type(error).__name__}: {error}"
-real.write(cloudpickle.dumps(answer))
-"""
+TIMEOUT = 30.0  # [s], of all calls together
+MOST = 10_000  # entries of an answer
 
 
-def run_apart(check: Callable[..., str], *arguments: Any) -> str:
-    """Return check(*arguments) from a process of its own, or why there is no answer.
+# cloudpickle takes a cached function for one of a module, where the child cannot find it.
+_CACHED = type(functools.lru_cache(int))
 
-    What the process prints is dropped; when it does not end within 30 s it is ended.
+
+def _uncached(function: Any) -> tuple[Any, tuple[Any]]:
+    return functools.lru_cache, (function.__wrapped__,)
+
+
+class AnswerError(Exception):
+    """What is wrong with an answer, in a sentence for the student."""
+
+
+class Apart:
+    """A function that is called in a process of its own.
+
+    Values come back as JSON: nothing that the function does there, to NumPy or to statebook, can
+    touch the judge. What it prints is dropped.
+
+    Parameters
+    ----------
+    function : callable
+
+    Attributes
+    ----------
+    trouble : str
+        The first thing that was wrong, whatever a caller made of the exception.
 
     Raises
     ------
     ModuleNotFoundError
         cloudpickle, which takes a notebook's functions along, is not installed.
     """
-    try:
-        import cloudpickle
-    except ImportError as error:
-        raise ModuleNotFoundError(
-            'grading functions needs cloudpickle: pip install "statebook[lab]"'
-        ) from error
-    try:
-        packed = cloudpickle.dumps((check, arguments))
-    except Exception as error:
-        return (
-            f"your function cannot be taken to a process of its own ({error}); it must not use open"
-            " files, figures or other things of this notebook"
-        )
-    try:
-        child = subprocess.run(
-            [sys.executable, "-c", _CHILD],
-            input=packed,
-            capture_output=True,
-            timeout=TIMEOUT,
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self.trouble = ""
+        self._late = False
+        try:
+            import cloudpickle
+        except ImportError as error:
+            raise ModuleNotFoundError(
+                'grading functions needs cloudpickle: pip install "statebook[lab]"'
+            ) from error
+        try:
+            packed = io.BytesIO()
+            table = ChainMap({_CACHED: _uncached}, cloudpickle.Pickler.dispatch_table)
+            type("Pickler", (cloudpickle.Pickler,), {"dispatch_table": table})(packed).dump(
+                function
+            )
+            self._packed = packed.getvalue()
+        except Exception as error:
+            raise AnswerError(
+                f"your function cannot be taken to a process of its own ({told(error)}); it must"
+                " not use open files, figures or other things of this notebook"
+            ) from error
+
+    def __enter__(self) -> Apart:
+        self._child = subprocess.Popen(
+            [sys.executable, "-c", "from statebook.grading.sandbox import serve; serve()"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
             # A function from a file beside the notebook is found there too.
             env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+            start_new_session=True,  # what the function starts ends with it
         )
-    except subprocess.TimeoutExpired:
-        return f"your answer was not done after {TIMEOUT:g} s: is there a loop without an end?"
-    if child.returncode or not child.stdout:
-        last = child.stderr.decode(errors="replace").strip().splitlines()[-1:]
-        return "your answer ended its process" + (f": {last[0]}" if last else "")
-    return str(cloudpickle.loads(child.stdout))
+        self._timer = threading.Timer(TIMEOUT, self._end, [True])
+        self._timer.daemon = True
+        self._timer.start()
+        with suppress(OSError):
+            self._send(pickle.dumps(self._packed))
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._timer.cancel()
+        self._end(False)
+        with suppress(OSError), self._child:
+            pass  # closes the pipes
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Return function(*arguments), numbers.
+
+        Raises
+        ------
+        AnswerError
+            The function fails, changes its arguments, ends its process, or takes too long.
+        """
+        value = self.reply(*arguments)
+        if isinstance(value, str):
+            self._fail("your function must return numbers, got a text")
+        return value
+
+    def reply(self, *arguments: Any) -> Any:
+        """Return function(*arguments), numbers or a text."""
+        if self.trouble:
+            raise AnswerError(self.trouble)
+        try:
+            self._send(pickle.dumps(arguments))
+            assert self._child.stdout is not None
+            reply = json.loads(self._child.stdout.readline(100 * MOST))
+            value, trouble = reply["value"], reply["trouble"]
+        except (OSError, ValueError, KeyError, TypeError):  # no reply, or one that it made itself
+            self._fail(
+                f"your answer was not done after {TIMEOUT:g} s: is there a loop without an end?"
+                if self._late
+                else "your answer ended its process, or wrote where its values are read"
+            )
+        if trouble:
+            self._fail(str(trouble))
+        return np.array(value, dtype=float)[()] if not isinstance(value, str) else value
+
+    def _fail(self, trouble: str) -> None:
+        self.trouble = trouble
+        raise AnswerError(trouble)
+
+    def _send(self, message: bytes) -> None:
+        assert self._child.stdin is not None
+        self._child.stdin.write(message)
+        self._child.stdin.flush()
+
+    def _end(self, late: bool) -> None:
+        self._late = late
+        with suppress(OSError):
+            if sys.platform == "win32":
+                self._child.kill()
+            else:
+                os.killpg(self._child.pid, signal.SIGKILL)
+
+
+def told(error: BaseException) -> str:
+    """Return an exception in one line that is never long."""
+    try:
+        text = " ".join(str(error)[:1000].split())
+    except Exception:  # whatever a student's own exception does
+        text = ""
+    line = f"{type(error).__name__}: {text}" if text else type(error).__name__
+    return line if len(line) <= 200 else line[:197] + "..."
+
+
+def as_array(value: Any) -> np.ndarray:
+    """Return a copy of a value as an array; of a mapping or a set as an object.
+
+    Raises
+    ------
+    AnswerError
+        It has far too many entries, which are not looked at.
+    """
+    if isinstance(value, Real) and not isinstance(value, bool):
+        return np.array(float(value))  # an int of any length and a Fraction too
+    if isinstance(value, dict | set):
+        return np.array(value, dtype=object)
+    if isinstance(value, np.ndarray):
+        many = value.size
+    else:
+        many = len(value) if isinstance(value, Sized) and not isinstance(value, str) else 0
+    if many > MOST:
+        raise AnswerError(f"an answer has {MOST} entries at most, got {many}")
+    return np.array(value)
+
+
+def kind(value: Any) -> str:
+    """Return what a value is, in words."""
+    if isinstance(value, str):
+        return "a text"
+    array = as_array(value)
+    if array.dtype.kind not in "iuf":
+        name = type(value).__name__[:40]
+        if isinstance(value, list | tuple):
+            return f"a {name} of other things than real numbers"
+        return f"an array of {array.dtype}" if name == "ndarray" else f"a value of type {name}"
+    return "a number" if array.shape == () else f"an array of shape {array.shape}"
+
+
+def serve() -> None:
+    """Read a function and then its arguments from stdin; write each value to stdout."""
+    import cloudpickle
+
+    requests, replies = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "w", encoding="ascii")
+    nothing = os.open(os.devnull, os.O_RDWR)
+    for stream in (0, 1, 2):
+        os.dup2(nothing, stream)
+    failed, function = "", None
+    try:
+        function = cloudpickle.loads(pickle.load(requests))
+    except BaseException as error:
+        failed = f"your function cannot be taken to a process of its own ({told(error)})"
+    while True:
+        arguments = pickle.load(requests)
+        value, trouble = ("", failed) if failed else _called(function, arguments)
+        replies.write(json.dumps({"value": value, "trouble": trouble}) + "\n")
+        replies.flush()
+
+
+def _called(function: Any, arguments: tuple[Any, ...]) -> tuple[Any, str]:
+    """Call a function; return its value, or what is wrong with it."""
+    given = [np.copy(a) if isinstance(a, np.ndarray) else a for a in arguments]
+    state = ", ".join(np.array2string(np.asarray(a), precision=4) for a in arguments)
+    where = f" at ({state})" if arguments else ""
+    try:
+        value = function(*given)
+        if isinstance(value, str):
+            return value[:1000], ""
+        if value is None:
+            return "", f"your function returns None{where}; does it end in return?"
+        found = as_array(value)  # at once: it may be the function's own buffer
+        if found.dtype.kind not in "iuf" or found.size > MOST:
+            return "", f"your function must return numbers, got {kind(value)}{where}"
+        if any(not np.array_equal(a, b) for a, b in zip(arguments, given, strict=True)):
+            return "", "your function changes its argument; work on a copy"
+    except AnswerError as error:
+        return "", f"{error}{where}"
+    except BaseException as error:
+        return "", f"your {'function' if arguments else 'answer'} raised {told(error)}{where}"
+    return found.astype(float).tolist(), ""
