@@ -3,30 +3,21 @@
 import base64
 import os
 import re
-import subprocess
-import sys
-from pathlib import Path
 
 import nbformat
 import pytest
 from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook, new_output
+from processes import in_process
 
+from nbregress.__main__ import main
 from nbregress.session import NotebookError
 from nbregress.settings import Settings, SettingsError, load_settings
 from nbregress.store import keep_agreeing, normalize, write
 
-SOURCE = Path(__file__).resolve().parents[2] / "lib" / "nbregress" / "src"
-
 
 def regression(folder, *arguments):
-    paths = [str(SOURCE), os.environ.get("PYTHONPATH", "")]
-    return subprocess.run(
-        [sys.executable, "-m", "nbregress", *arguments],
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))},
-        capture_output=True,
-        text=True,
-    )
+    """The command line, in this process: Jupyter's packages take seconds to load."""
+    return in_process(folder, main, arguments)
 
 
 def cells(*sources):

@@ -11,6 +11,9 @@ from typing import NamedTuple
 import nbformat
 import pytest
 from nbformat.v4 import new_code_cell, new_notebook, new_output
+from processes import in_process
+
+from nbregress.__main__ import main
 
 SOURCE = Path(__file__).resolve().parents[2] / "lib" / "nbregress" / "src"
 SETUP = """\
@@ -219,18 +222,18 @@ def environment():
     return {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
 
 
-def pytest_process(folder, *arguments):
+def pytest_here(folder, *arguments):
+    """A pytest run of its own within this process: a subprocess loads for seconds."""
     points = importlib.metadata.entry_points(group="pytest11")
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--color=no"]
+    options = ["-q", "-p", "no:cacheprovider", "-p", "no:faulthandler", "--color=no"]
     if all(point.value != "nbregress.plugin" for point in points):
-        command += ["-p", "nbregress.plugin"]
-    command += ["--nb", *arguments]
-    return subprocess.run(command, cwd=folder, env=environment(), capture_output=True, text=True)
+        options += ["-p", "nbregress.plugin"]
+    return in_process(folder, pytest.main, [*options, "--nb", *arguments])
 
 
 def run_pytest(folder, *arguments):
     """Results of a pytest run: {(file, cell): (outcome, text)}."""
-    pytest_process(folder, "--junitxml=report.xml", *arguments)
+    pytest_here(folder, "--junitxml=report.xml", *arguments)
     results = {}
     for case in ET.parse(folder / "report.xml").iter("testcase"):
         children = [c for c in case if c.tag in ("failure", "error", "skipped")]
@@ -261,16 +264,15 @@ def results(tmp_path_factory):
             for case in table.values()
         ]
         store(folder / name, [cell(SETUP), *stored])
-    command = [sys.executable, "-m", "nbregress", "refresh", "--jobs", "2", *tables]
-    subprocess.run(command, cwd=folder, env=environment(), check=True, capture_output=True)
+    done = in_process(folder, main, ["refresh", "--jobs", "2", *tables])
+    assert done.returncode == 0, done.stderr
     for name, table in tables.items():
         nb = nbformat.read(folder / name, as_version=4)
         for old, case in zip(nb.cells[1:], table.values(), strict=True):
             old.source, old.metadata["tags"] = case.new, list(case.tags)
         nbformat.write(nb, folder / name)
     broken_notebooks(folder)
-    found = run_pytest(folder, "--ignore=hangs.ipynb", ".")
-    return {**found, **run_pytest(folder, "--nb-timeout=6", "hangs.ipynb")}, folder
+    return run_pytest(folder, "."), folder
 
 
 def broken_notebooks(folder):
@@ -282,6 +284,8 @@ def broken_notebooks(folder):
         folder / "dies.ipynb",
         [cell("x = 1", **ran), cell("import os; os._exit(1)", **ran), cell("x = 1", **ran)],
     )
+    own = "[[tool.nbregress.overrides]]\nmatch = 'hangs.ipynb'\ntimeout = 6\n"
+    (folder / "pyproject.toml").write_text(own)
     (folder / "not_json.ipynb").write_text("hello")
     (folder / "not_a_notebook.ipynb").write_text('{"a": 1}')
     (folder / "empty.ipynb").write_text("")
@@ -328,7 +332,7 @@ def test_missing_kernel(tmp_path):
     nb = new_notebook(cells=[cell("1", execution_count=1), cell("2", execution_count=2)])
     nb.metadata["kernelspec"] = {"name": "unheard_of", "display_name": "?", "language": "R"}
     nbformat.write(nb, tmp_path / "a.ipynb")
-    done = pytest_process(tmp_path)
+    done = pytest_here(tmp_path)
     assert (
         "has no kernel: it wants 'unheard_of' (language r)" in done.stdout
         and "1 failed, 1 skipped" in done.stdout
@@ -337,7 +341,7 @@ def test_missing_kernel(tmp_path):
 
 @pytest.mark.parametrize("arguments", [["--regression-rtol=wide"], ["--regression-atol=-1"]])
 def test_bad_option(tmp_path, arguments):
-    done = pytest_process(tmp_path, *arguments)
+    done = pytest_here(tmp_path, *arguments)
     assert done.returncode == 4 and "must be a number >= 0" in done.stderr
 
 
