@@ -301,6 +301,12 @@ def test_modes_that_no_input_moves_are_named():
     assert not sb.LQR(decaying, [0, 0, 0], Q=[1, 0, 1]).K[0, 1]
 
 
+@pytest.mark.parametrize(("pole", "effect"), [(1e8, 1.0), (3.0, 1e-9), (0.2, 1e12)])
+def test_units_of_the_input_do_not_decide_what_it_moves(pole, effect):
+    gain = sb.LQR(lambda x, u: [pole * x[0] + effect * u[0]], [0.0], Q=0.0).K
+    assert gain[0, 0] * effect == pytest.approx(2 * pole, rel=1e-6)  # mirrors the pole
+
+
 def test_integral_action_is_that_of_python_control():
     A, B = np.array([[0, 1], [0, 0]]), np.array([[0], [1.0]])
     K, S, _ = control.lqr(

@@ -56,8 +56,13 @@ def test_the_page_holds_every_frame():
 
 
 def test_a_frame_shows_the_data_of_its_value():
+    def draw(a):
+        plt.plot([0, 1], [0, a])
+        plt.ylim(0, 2)
+        plt.grid(False)  # whatever style other tests set
+
     sizes = [1.0, 2.0]
-    player = explore(lambda a: plt.plot([0, 1], [0, a]) and plt.ylim(0, 2), a=sizes, **WORDS)
+    player = explore(draw, a=sizes, **WORDS)
     heights = []
     for frame in player.frames:
         lines = re.findall(r'd="M [\d.]+ ([\d.]+)\s+L [\d.]+ ([\d.]+)\s*" clip-path', frame)
@@ -130,6 +135,13 @@ def test_film_plays_as_long_as_its_motion():
     assert unpacked(player.to_html())["seconds"] == 3.0
     assert film(sine, [1.0, 2.0], seconds=0.5, **WORDS).seconds == 0.5
     assert explore(sine, frequency=[1, 2], **WORDS).seconds is None
+
+
+def test_a_figure_that_is_open_is_not_painted_over():
+    axes = plt.subplots()[1]
+    explore(lambda a: plt.plot([0, a]), a=[1, 2], **WORDS)
+    assert not axes.lines
+    plt.close("all")
 
 
 def test_figures_that_were_open_stay_open():

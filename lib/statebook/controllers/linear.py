@@ -134,7 +134,9 @@ def unmoved(A: np.ndarray, B: np.ndarray, discrete: bool) -> list[complex]:
     does not blur.
     """
     values = np.linalg.eigvals(A)
-    norm = np.linalg.norm(np.hstack([A, B]))
+    norm = np.linalg.norm(A)
+    B = B * (norm / (np.linalg.norm(B) or 1.0) or 1.0)  # the units of the inputs do not matter
+    norm = norm or np.linalg.norm(B)
     edge: np.ndarray
     if discrete:
         beyond, edge = np.abs(values) - 1, values / np.where(values == 0, 1, np.abs(values))

@@ -266,6 +266,8 @@ def discretize_noise(A: Any, G: Any, intensity: Any, dt: float) -> np.ndarray:
     A = _validate.real_array("A", A, (None, None))
     n = len(A)
     A = _validate.real_array("A", A, (n, n))
+    if n == 0:
+        raise ValueError("A must have at least one row, got none")
     G = _validate.real_array("G", G, (n, None))
     Q = covariance_matrix("intensity", intensity, G.shape[1])
     dt = _validate.positive("dt", dt)
