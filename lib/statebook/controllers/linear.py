@@ -81,16 +81,21 @@ def require_holding(limit: float | None, u0: np.ndarray, what: str) -> None:
         )
 
 
+def matrix_of(name: str, value: Any, shape: tuple[int, int]) -> np.ndarray:
+    """Return a matrix (m, p), from its diagonal or one number for all of it if m = p."""
+    m, p = shape
+    matrix = _validate.real_array(name, value)
+    if m == p and matrix.shape in ((), (m,)):
+        return np.diag(np.broadcast_to(matrix, (m,)))
+    if matrix.shape != shape:
+        also = f", be its diagonal of shape ({m},) or a number" if m == p else ""
+        raise ValueError(f"{name} must have shape {shape}{also}, got {matrix.shape}")
+    return matrix
+
+
 def weight(name: str, value: Any, size: int, *, definite: bool = False) -> np.ndarray:
     """Return a weight (size, size) from a matrix, its diagonal, or one number for all."""
-    matrix = _validate.real_array(name, 1.0 if value is None else value)
-    if matrix.ndim == 0 or matrix.shape == (size,):
-        matrix = np.diag(np.broadcast_to(matrix, (size,)))
-    if matrix.shape != (size, size):
-        raise ValueError(
-            f"{name} must have shape ({size}, {size}), be its diagonal of shape ({size},) or a"
-            f" number, got {matrix.shape}"
-        )
+    matrix = matrix_of(name, 1.0 if value is None else value, (size, size))
     if definite:
         scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
         scaled = matrix / scale[:, None] / scale
@@ -295,17 +300,8 @@ class LQR(Portable):
             B = np.concatenate([B, np.zeros((p, m))])
             Q = scipy.linalg.block_diag(Q, weight("integral", self.integral, p))
         K, S = gain_of(system.name, A, B, Q, R, system.dt)
-        for name, value in {
-            "x0": x0,
-            "u0": u0,
-            "limit": limit,
-            "K": K,
-            "S": S,
-            "wrapped": circle.tolist(),
-            "C": C,
-            "feedforward": feedforward,
-        }.items():
-            object.__setattr__(self, name, value)
+        vars(self).update(x0=x0, u0=u0, limit=limit, K=K, S=S, wrapped=circle.tolist())
+        vars(self).update(C=C, feedforward=feedforward)
         self.target(0.0)  # reports what is wrong with the reference
 
     def _feedforward(self, A: np.ndarray, B: np.ndarray, C: np.ndarray) -> np.ndarray:
@@ -465,8 +461,8 @@ class PD(Portable):
         system = as_system(self.system, at_rest, idle)  # of a plain function, they tell n and m
         limit = None if self.limit is None else _validate.positive("limit", self.limit)
         kp, kd = _validate.number("kp", self.kp), _validate.number("kd", self.kd)
-        object.__setattr__(self, "u0", holding_control(system, self.target, limit))
-        object.__setattr__(self, "target", _validate.real_array("target", self.target))
+        u0 = holding_control(system, self.target, limit)
+        vars(self).update(u0=u0, target=_validate.real_array("target", self.target))
         loop = as_system(lambda x: system.dynamics(x, self._unlimited(x)), at_rest, dt=system.dt)
         loop = replace(loop, linear=system.linear)
         require_stable(loop, at_rest, f"the gains kp = {kp:g}, kd = {kd:g}")

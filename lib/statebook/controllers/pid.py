@@ -15,6 +15,7 @@ from statebook.controllers.linear import (
     at_rest_at,
     columns,
     holding_control,
+    matrix_of,
     require_holding,
     require_stable,
     rows_of,
@@ -114,7 +115,7 @@ class PID(Portable):
             x0, u0 = self._equilibrium(system, target)
             require_holding(limit, u0, "the target")
         names, shape = ("kp", "ki", "kd"), (system.m, len(target))
-        gains = tuple(_gain(name, getattr(self, name), shape) for name in names)
+        gains = tuple(matrix_of(name, getattr(self, name), shape) for name in names)
         filter_time = self.filter_time
         if filter_time is not None:
             filter_time = _validate.positive("filter_time", filter_time)
@@ -122,15 +123,8 @@ class PID(Portable):
             if not gains[0].any():
                 raise ValueError("filter_time is required for kd without kp: d is filtered")
             filter_time = float(np.abs(gains[2]).max() / np.abs(gains[0]).max()) / 10
-        for name, value in {
-            "target": target,
-            "limit": limit,
-            "filter_time": filter_time,
-            "x0": x0,
-            "u0": u0,
-            "gains": gains,
-        }.items():
-            object.__setattr__(self, name, value)
+        vars(self).update(target=target, limit=limit, x0=x0, u0=u0, gains=gains)
+        vars(self).update(filter_time=filter_time)
         loop, at_rest = self._loop(None), np.concatenate([x0, np.zeros(len(target))])
         if filter_time is not None:
             at_rest = np.concatenate([at_rest, measure(x0)])
@@ -227,10 +221,10 @@ class PID(Portable):
         return self._loop(self.limit)
 
     def _loop(self, limit: float | None) -> System:
-        system, measure = self._plant
+        system = self._plant[0]
         memories = ("z",) if self.filter_time is None else ("z", "f")
         return System(
-            rate=lambda y, d, t: self._closed(system, measure, limit, y, d, t),
+            rate=lambda y, d, t: self._closed(limit, y, d, t),
             states=(
                 *system.states,
                 *(f"{name}{i + 1}" for name in memories for i in range(len(self.target))),
@@ -268,14 +262,9 @@ class PID(Portable):
         return float(system.dt or 0) if system.discrete else 0.0
 
     def _closed(
-        self,
-        system: System,
-        measure: Measurement,
-        limit: float | None,
-        state: np.ndarray,
-        d: np.ndarray,
-        t: float,
+        self, limit: float | None, state: np.ndarray, d: np.ndarray, t: float
     ) -> np.ndarray:
+        system, measure = self._plant
         n, p = system.n, len(self.target)
         x, z, f = state[:n], state[n : n + p], state[n + p :]
         y = measure(x)
@@ -287,18 +276,6 @@ class PID(Portable):
             left = np.exp(-step / self.filter_time)
             memory.append(y + left * (f - y) if step else (y - f) * self._pace())
         return np.concatenate([motion, *memory])
-
-
-def _gain(name: str, value: Any, shape: tuple[int, int]) -> np.ndarray:
-    """Return a gain (m, p) from a matrix, or from what pairs inputs and outputs by index."""
-    m, p = shape
-    matrix = _validate.real_array(name, value)
-    if m == p and matrix.shape in ((), (m,)):
-        return np.diag(np.broadcast_to(matrix, (m,)))
-    if matrix.shape != shape:
-        also = f", ({m},) or be a number" if m == p else ""
-        raise ValueError(f"{name} must have shape {shape}{also}, got {matrix.shape}")
-    return matrix
 
 
 def _shown(gain: Any) -> str:

@@ -79,7 +79,7 @@ class SwingUp:
         if self.pendulum.g == 0:
             raise ValueError("pendulum must have weight to swing, got g = 0; LQR alone moves it")
         catch = LQR(self.pendulum, [np.pi / 2, 0.0], limit=limit, circle=("theta",))
-        object.__setattr__(self, "catch", catch)
+        vars(self).update(catch=catch)
         if self.pendulum.damping > 0:
             self._require_growth()
 
@@ -261,8 +261,8 @@ class CartPoleSwingUp:
         )
         at_top = [target, np.pi / 2, 0.0, 0.0]
         catch = LQR(system, at_top, Q=self.Q, R=self.R, limit=self.limit, circle=("theta",))
-        object.__setattr__(self, "catch", catch)
-        object.__setattr__(self, "trial", self._try())
+        vars(self).update(catch=catch)
+        vars(self).update(trial=self._try())
 
     def _try(self) -> Trajectory:
         hanging = [self.start, -np.pi / 2, 0.0, 0.0]
