@@ -610,3 +610,9 @@ def test_clocked_policy_may_have_a_memory():
 def test_what_cannot_work_is_refused(make, message):
     with pytest.raises((TypeError, ValueError), match=message):
         make()
+
+
+def test_a_moving_reference_makes_the_loop_depend_on_the_time():
+    loop = sb.LQR(sb.Particle(), [0, 0], tracked=["p"], reference=np.sin, integral=1.0).loop
+    with pytest.raises(ValueError, match="t is required"):
+        sb.jacobians(loop, np.zeros(3), [0.0])

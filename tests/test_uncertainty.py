@@ -594,3 +594,9 @@ def test_a_single_state_does_not_tell_its_trajectory():
     misled = sb.with_measurement_error(lambda x, t: -x[:1], sb.HeldNoise(np.eye(2), 0.1, seed=1))
     with pytest.raises(ValueError, match="monte_carlo"):
         sb.simulate(sb.Particle(), np.zeros((2, 3)), misled, duration=1.0)
+
+
+def test_a_disturbance_does_not_hide_that_a_system_depends_on_the_time():
+    fading = sb.as_system(lambda x, u, t: [u[0] - (1 + t) * x[0]], [0.0], [0.0])
+    with pytest.raises(ValueError, match="t is required"):
+        sb.jacobians(sb.with_disturbance(fading), [0.0], [0.0, 0.0])

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -62,6 +63,15 @@ def unwound(error: np.ndarray, u: np.ndarray, Ki: np.ndarray, limit: float | Non
     return np.where((Ki != 0).T @ winding, 0.0, error)
 
 
+def closed_loop(
+    system: System, rate: Callable[..., Any], memories: Mapping[str, int], law: str
+) -> System:
+    """Return a system with memories of a law, numbers of them by name, as further states."""
+    further = (f"{name}{i + 1}" for name, number in memories.items() for i in range(number))
+    states, name = (*system.states, *further), f"{system.name} with {law}"
+    return replace(system, rate=rate, states=states, name=name, linear=False, source=None)
+
+
 def require_stable(loop: System, x0: np.ndarray, gains: str) -> None:
     """Refuse a loop that is not asymptotically stable."""
     with warnings.catch_warnings():  # the verdict counts the error of differences in
@@ -113,22 +123,20 @@ class Portable:
         state = {name: value for name, value in vars(self).items() if name != "_plant"}
         sys = state["system"]
         if isinstance(sys, control.StateSpace):
-            matrices = [np.asarray(M) for M in (sys.A, sys.B, sys.C, sys.D)]
-            labels = sys.state_labels, sys.input_labels, sys.output_labels
-            state["system"] = None
-            state["_parts"] = matrices, sys.dt, dict(zip(_LABELS, labels, strict=True)), sys.name
+            matrices = map(np.asarray, (sys.A, sys.B, sys.C, sys.D))
+            names = {"states": sys.state_labels, "inputs": sys.input_labels, "name": sys.name}
+            names["outputs"] = sys.output_labels
+            state["system"] = partial(control.ss, *matrices, sys.dt, **names)
         return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         import control
 
-        if "_parts" in state:
-            matrices, dt, labels, name = state.pop("_parts")
-            state["system"] = control.ss(*matrices, dt, **labels, name=name)
         vars(self).update(state)
+        if getattr(state["system"], "func", None) is control.ss:
+            vars(self).update(system=state["system"]())
 
 
-_LABELS = ("states", "inputs", "outputs")
 _NEAR = 1e-4  # of the boundary, relative to A: rounding blurs repeated eigenvalues by so much
 
 
@@ -375,14 +383,10 @@ class LQR(Portable):
         """The closed loop with its integrals; its inputs are disturbances."""
         system = as_system(self.system, self.x0, self.u0)
         p = self.K.shape[1] - system.n
-        return System(
-            rate=lambda y, d, t: self._closed(system, y, d, t),
-            states=(*system.states, *(f"z{i + 1}" for i in range(p))),
-            inputs=system.inputs,
-            dt=system.dt,
+        return replace(
+            closed_loop(system, partial(self._closed, system), {"z": p}, "LQR"),
             linear=system.linear and self.limit is None and not self.wrapped,
-            name=f"{system.name} with LQR",
-            batched=system.batched,
+            timed=system.timed or callable(self.reference),
         )
 
     def _closed(self, system: System, y: np.ndarray, d: np.ndarray, t: float) -> np.ndarray:

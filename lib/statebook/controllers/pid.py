@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from statebook import _validate
 from statebook.controllers.linear import (
     Portable,
     at_rest_at,
+    closed_loop,
     columns,
     holding_control,
     matrix_of,
@@ -222,18 +223,9 @@ class PID(Portable):
 
     def _loop(self, limit: float | None) -> System:
         system = self._plant[0]
-        memories = ("z",) if self.filter_time is None else ("z", "f")
-        return System(
-            rate=lambda y, d, t: self._closed(limit, y, d, t),
-            states=(
-                *system.states,
-                *(f"{name}{i + 1}" for name in memories for i in range(len(self.target))),
-            ),
-            inputs=system.inputs,
-            dt=system.dt,
-            name=f"{system.name} with PID",
-            batched=system.batched,
-        )
+        names = ("z",) if self.filter_time is None else ("z", "f")
+        memories = dict.fromkeys(names, len(self.target))
+        return closed_loop(system, partial(self._closed, limit), memories, "PID")
 
     def __call__(self, y: Any, t: float) -> np.ndarray:
         """Evaluate the control at y = (x, z) or (x, z, f), shape (m,) or (m, N)."""

@@ -50,15 +50,9 @@ def with_disturbance(system: Any, G: Any = None) -> System:
     n = system.n
     G = np.eye(n) if G is None else _validate.real_array("G", G, (n, None))
 
-    return System(
-        rate=partial(_pushed, system, G),
-        states=system.states,
-        inputs=(*system.inputs, *(f"w[{i}]" for i in range(G.shape[1]))),
-        dt=system.dt,
-        linear=system.linear,
-        name=f"{system.name} with disturbance",
-        source=system,
-    )
+    inputs = (*system.inputs, *(f"w[{i}]" for i in range(G.shape[1])))
+    name, rate = f"{system.name} with disturbance", partial(_pushed, system, G)
+    return replace(system, rate=rate, inputs=inputs, name=name, source=system, batched=True)
 
 
 def with_actuation_error(policy: Policy, noise: HeldNoise, *, gain: Any = 1.0) -> Policy:
