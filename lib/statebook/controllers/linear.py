@@ -178,8 +178,7 @@ def gain_of(
     if lost:
         mode = format_complex(lost[0], 1.0)
         raise ValueError(f"no gain stabilizes {name} at x0: no input moves its mode {mode}")
-    # In units of their own, so that a small weight is not taken for none.
-    unseen = unmoved(A.T, Q / (np.abs(Q).max() or 1.0), discrete)
+    unseen = unmoved(A.T, Q, discrete)
     solve = control.dlqr if discrete else control.lqr
     try:
         K, S, _ = map(np.asarray, solve(A, B, Q, R))

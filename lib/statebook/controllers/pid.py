@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -196,25 +197,17 @@ class PID(Portable):
             C = np.stack([measure(e) - y for e in np.eye(n)], axis=1)
             x = np.linalg.lstsq(C, target - y, rcond=None)[0]
 
-        def residual(z: np.ndarray) -> np.ndarray:
-            motion = system.dynamics(z[:n], z[n:]) - (z[:n] if system.discrete else 0.0)
-            return np.concatenate([motion, measure(z[:n]) - target])
-
-        # As many equations as unknowns, as find_equilibrium wants of a system: lacking or
-        # surplus ones are zeros.
-        short = max(0, system.m - len(target))
-        guess = np.concatenate([x, u, np.zeros(max(0, len(target) - system.m))])
-        square = as_system(
-            lambda z: np.concatenate([residual(z[: n + system.m]), np.zeros(short)]), guess
-        )
+        labels = [f"y{i + 1}" for i in range(len(target))]
+        seen = SimpleNamespace(output_labels=labels, output=lambda t, x, u: measure(x))
+        wanted = dict(zip(labels, target.tolist(), strict=True))
         try:
-            z = find_equilibrium(square, guess).x
+            found = find_equilibrium(replace(system, source=seen), x, u, fixed=[], outputs=wanted)
         except EquilibriumNotFoundError as error:
             raise ValueError(
                 f"target cannot be held: no state of {system.name} at rest with the outputs"
                 f" {target.tolist()} was found; give x_guess and u_guess near one ({error})"
             ) from error
-        return z[:n], z[n : n + system.m]
+        return found.x, found.u
 
     @property
     def loop(self) -> System:

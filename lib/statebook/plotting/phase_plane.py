@@ -65,8 +65,8 @@ def flow(
     >>> flow(lambda x: [x[1], -x[0]], (-1, 1), (-1, 1)).get_xlabel()
     'x[0]'
     """
-    ax, field = _field(system, xlim, ylim, u, 60, ax)
-    ax.streamplot(*field, density=1.0, color="0.65", linewidth=0.7, arrowsize=0.8)
+    ax, (X, Y, dX, dY) = _field(system, xlim, ylim, u, 60, ax)
+    ax.streamplot(X, Y, dX, dY, density=1.0, color="0.65", linewidth=0.7, arrowsize=0.8)
     ax.set(xlim=xlim, ylim=ylim)
     return ax
 
