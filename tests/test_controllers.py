@@ -616,3 +616,17 @@ def test_a_moving_reference_makes_the_loop_depend_on_the_time():
     loop = sb.LQR(sb.Particle(), [0, 0], tracked=["p"], reference=np.sin, integral=1.0).loop
     with pytest.raises(ValueError, match="t is required"):
         sb.jacobians(loop, np.zeros(3), [0.0])
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        lambda f: sb.LQR(f, [0, 0], [0]),
+        lambda f: sb.PD(f, [0.0], 1.0, 1.0),
+        lambda f: sb.PID(f, [0.0], 1.0, 0.1, 1.0),
+        lambda f: sb.PID(f, [0.0], 1.0, 0.1, 1.0, outputs=[[1, 0]], x_guess=[0, 0]),
+    ],
+)
+def test_a_plant_that_depends_on_the_time_is_refused_in_words_that_help(law):
+    with pytest.raises(ValueError, match=r"not depend on the time, but .* t0"):
+        law(lambda x, u, t: [x[1], u[0] - t * x[0]])

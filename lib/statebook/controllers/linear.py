@@ -16,7 +16,7 @@ from statebook.angles import wrap_angle
 from statebook.derivatives import InexactDerivativeWarning
 from statebook.equilibrium import find_equilibrium
 from statebook.linearization import linearize
-from statebook.systems import System, as_system
+from statebook.systems import System, as_system, time_of
 from statebook.verdict.report import format_complex
 from statebook.verdict.stability import stability
 
@@ -70,6 +70,17 @@ def closed_loop(
     further = (f"{name}{i + 1}" for name, number in memories.items() for i in range(number))
     states, name = (*system.states, *further), f"{system.name} with {law}"
     return replace(system, rate=rate, states=states, name=name, linear=False, source=None)
+
+
+def require_timeless(system: System, x: np.ndarray, u: np.ndarray) -> None:
+    """Refuse a system that depends on the time: its gains would hold for one time only."""
+    try:
+        time_of(system, x, u, None)
+    except ValueError:
+        raise ValueError(
+            f"system must not depend on the time, but {system.name} does; hold it at one time t0,"
+            " lambda x, u: f(x, u, t0)"
+        ) from None
 
 
 def require_stable(loop: System, x0: np.ndarray, gains: str) -> None:
@@ -295,6 +306,7 @@ class LQR(Portable):
             raise ValueError("tracked is required with reference or integral: label what follows")
         tracked = () if self.tracked is None else self.tracked
         C = rows_of("tracked", tracked, system.states)
+        require_timeless(system, x0, u0)
         sys = linearize(system, x0, u0)
         A, B = np.asarray(sys.A), np.asarray(sys.B)
         feedforward = np.zeros((n + m, len(C)))
@@ -414,6 +426,7 @@ def holding_control(system: System, target: Any, limit: float | None) -> np.ndar
         )
     target = _validate.real_array("target", target, (system.m,))
     at_rest = np.concatenate([target, np.zeros(system.m)])
+    require_timeless(system, at_rest, 0 * target)
     u = find_equilibrium(system, at_rest, fixed=system.states).u
     require_holding(limit, u, "the target")
     return u

@@ -20,6 +20,7 @@ from statebook.controllers.linear import (
     matrix_of,
     require_holding,
     require_stable,
+    require_timeless,
     rows_of,
     saturate,
     state_of,
@@ -197,6 +198,7 @@ class PID(Portable):
             C = np.stack([measure(e) - y for e in np.eye(n)], axis=1)
             x = np.linalg.lstsq(C, target - y, rcond=None)[0]
 
+        require_timeless(system, x, u)
         labels = [f"y{i + 1}" for i in range(len(target))]
         seen = SimpleNamespace(output_labels=labels, output=lambda t, x, u: measure(x))
         wanted = dict(zip(labels, target.tolist(), strict=True))
