@@ -301,6 +301,12 @@ def test_modes_that_no_input_moves_are_named():
     assert not sb.LQR(decaying, [0, 0, 0], Q=[1, 0, 1]).K[0, 1]
 
 
+@pytest.mark.parametrize(("pole", "effect"), [(1e8, 1.0), (3.0, 1e-9), (0.2, 1e12)])
+def test_units_of_the_input_do_not_decide_what_it_moves(pole, effect):
+    gain = sb.LQR(lambda x, u: [pole * x[0] + effect * u[0]], [0.0], Q=0.0).K
+    assert gain[0, 0] * effect == pytest.approx(2 * pole, rel=1e-6)  # mirrors the pole
+
+
 def test_integral_action_is_that_of_python_control():
     A, B = np.array([[0, 1], [0, 0]]), np.array([[0], [1.0]])
     K, S, _ = control.lqr(
@@ -604,3 +610,23 @@ def test_clocked_policy_may_have_a_memory():
 def test_what_cannot_work_is_refused(make, message):
     with pytest.raises((TypeError, ValueError), match=message):
         make()
+
+
+def test_a_moving_reference_makes_the_loop_depend_on_the_time():
+    loop = sb.LQR(sb.Particle(), [0, 0], tracked=["p"], reference=np.sin, integral=1.0).loop
+    with pytest.raises(ValueError, match="t is required"):
+        sb.jacobians(loop, np.zeros(3), [0.0])
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        lambda f: sb.LQR(f, [0, 0], [0]),
+        lambda f: sb.PD(f, [0.0], 1.0, 1.0),
+        lambda f: sb.PID(f, [0.0], 1.0, 0.1, 1.0),
+        lambda f: sb.PID(f, [0.0], 1.0, 0.1, 1.0, outputs=[[1, 0]], x_guess=[0, 0]),
+    ],
+)
+def test_a_plant_that_depends_on_the_time_is_refused_in_words_that_help(law):
+    with pytest.raises(ValueError, match=r"not depend on the time, but .* t0"):
+        law(lambda x, u, t: [x[1], u[0] - t * x[0]])

@@ -41,6 +41,12 @@ def test_cart_force_gives_the_acceleration_and_is_newtons_law():
     assert one.shape == () and one == u[0, 3]
 
 
+@pytest.mark.parametrize("acceleration", [np.nan, [1.0, 2.0], "fast"])
+def test_cart_force_names_a_bad_acceleration(acceleration):
+    with pytest.raises((TypeError, ValueError), match="acceleration must"):
+        sb.cart_force(sb.CartPole(), np.zeros((4, 3)), acceleration)
+
+
 def test_plan_is_followed_and_the_pole_is_caught_and_held():
     swing = swing_up()
     times = np.concatenate([np.linspace(0, 2, 201), np.linspace(2, 17, 301)[1:]])

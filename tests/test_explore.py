@@ -132,6 +132,13 @@ def test_film_plays_as_long_as_its_motion():
     assert explore(sine, frequency=[1, 2], **WORDS).seconds is None
 
 
+def test_a_figure_that_is_open_is_not_painted_over():
+    axes = plt.subplots()[1]
+    explore(lambda a: plt.plot([0, a]), a=[1, 2], **WORDS)
+    assert not axes.lines
+    plt.close("all")
+
+
 def test_figures_that_were_open_stay_open():
     mine = plt.figure()
     explore(sine, frequency=[1, 2], **WORDS)

@@ -253,6 +253,7 @@ def test_a_generator_that_processes_would_repeat_is_refused(function):
         (nothing, {"x": [1]}, {}, TypeError, "must return a number or an array, got .*None"),
         (lambda x: x, {"x": [1]}, {"executor": None}, TypeError, "function cannot be sent .* def"),
         (abs_of, {"x": [lambda: 1]}, {"executor": None}, TypeError, "grid cannot be sent"),
+        (abs_of, {"x": [2, lambda: 1]}, {"executor": None}, TypeError, "grid cannot be sent"),
     ],
 )  # fmt: skip
 def test_what_cannot_work_is_refused(function, grid, options, error, message):

@@ -538,6 +538,7 @@ NOISE = sb.HeldNoise(1.0, 0.1, seed=1)
         (ValueError, r"covariance .* shape \(2, 2\)", lambda: sb.consistency([1.0, 2.0], 1.0)),
         (ValueError, "positive definite", lambda: sb.consistency([1.0], 0.0)),
         (ValueError, "errors must", lambda: sb.consistency(1.0, 1.0)),
+        (ValueError, "A must", lambda: sb.discretize_noise(np.eye(0), np.eye(0), 1.0, 1.0)),
         (ValueError, "G must", lambda: sb.with_disturbance(sb.Particle(), [[1.0]])),
         (ValueError, "G was given", lambda: pushed_with(G=PUSH)),
         (ValueError, "whole number of periods", lambda: skipping_noise()),
@@ -550,6 +551,7 @@ NOISE = sb.HeldNoise(1.0, 0.1, seed=1)
         (ValueError, "method must be one of", lambda: pushed_with(method="rk5")),
         (TypeError, r"disturbance\(x, t\) must", lambda: pushed_with(disturbance="a", G=PUSH)),
         (ValueError, "policy was given", lambda: undriven(policy=[1.0])),
+        (ValueError, "policy is required", lambda: undriven(lambda x, u: [np.sum(u)])),
         (ValueError, "number must", lambda: pushed_with(number=0)),
         (ValueError, r"policy\(x, t\) must", lambda: pushed_with(policy=lambda x, t: [1, 2])),
         (TypeError, "noise must be a HeldNoise", lambda: sb.with_measurement_error(abs, 0.1)),
@@ -592,3 +594,9 @@ def test_a_single_state_does_not_tell_its_trajectory():
     misled = sb.with_measurement_error(lambda x, t: -x[:1], sb.HeldNoise(np.eye(2), 0.1, seed=1))
     with pytest.raises(ValueError, match="monte_carlo"):
         sb.simulate(sb.Particle(), np.zeros((2, 3)), misled, duration=1.0)
+
+
+def test_a_disturbance_does_not_hide_that_a_system_depends_on_the_time():
+    fading = sb.as_system(lambda x, u, t: [u[0] - (1 + t) * x[0]], [0.0], [0.0])
+    with pytest.raises(ValueError, match="t is required"):
+        sb.jacobians(sb.with_disturbance(fading), [0.0], [0.0, 0.0])

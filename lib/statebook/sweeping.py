@@ -92,7 +92,7 @@ def sweep(
     if not (executor is None or isinstance(executor, Executor)):
         raise TypeError(f"executor must be a concurrent.futures.Executor, got {executor!r}")
     if executor is None or isinstance(executor, ProcessPoolExecutor):
-        _require_portable(function, points[0])
+        _require_portable(function, {name: list(values) for name, values in grid.items()})
     with ExitStack() as stack:
         board = None
         if executor is None:
@@ -185,14 +185,14 @@ def _outside(function: Any, known: tuple[Any, ...] = ()) -> list[tuple[str, Any]
     return found
 
 
-def _require_portable(function: Any, point: dict[str, Any]) -> None:
+def _require_portable(function: Any, grid: dict[str, Any]) -> None:
     """Refuse what another process could not receive, before it dies of it."""
     main = sys.modules["__main__"]
     inner = getattr(function, "func", function)
     forked = multiprocessing.get_context().get_start_method() == "fork"
     if not (forked or hasattr(main, "__file__")) and getattr(inner, "__module__", "") == "__main__":
         raise TypeError(f"function must not come from a notebook or a prompt here: {_ELSEWHERE}")
-    for name, value in (("function", function), ("grid", point)):
+    for name, value in (("function", function), ("grid", grid)):
         try:
             pickle.dumps(value)
         except Exception as error:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from statebook.angles import wrap_angle
 from statebook.derivatives import InexactDerivativeWarning
 from statebook.equilibrium import find_equilibrium
 from statebook.linearization import linearize
-from statebook.systems import System, as_system
+from statebook.systems import System, as_system, time_of
 from statebook.verdict.report import format_complex
 from statebook.verdict.stability import stability
 
@@ -62,6 +63,26 @@ def unwound(error: np.ndarray, u: np.ndarray, Ki: np.ndarray, limit: float | Non
     return np.where((Ki != 0).T @ winding, 0.0, error)
 
 
+def closed_loop(
+    system: System, rate: Callable[..., Any], memories: Mapping[str, int], law: str
+) -> System:
+    """Return a system with memories of a law, numbers of them by name, as further states."""
+    further = (f"{name}{i + 1}" for name, number in memories.items() for i in range(number))
+    states, name = (*system.states, *further), f"{system.name} with {law}"
+    return replace(system, rate=rate, states=states, name=name, linear=False, source=None)
+
+
+def require_timeless(system: System, x: np.ndarray, u: np.ndarray) -> None:
+    """Refuse a system that depends on the time: its gains would hold for one time only."""
+    try:
+        time_of(system, x, u, None)
+    except ValueError:
+        raise ValueError(
+            f"system must not depend on the time, but {system.name} does; hold it at one time t0,"
+            " lambda x, u: f(x, u, t0)"
+        ) from None
+
+
 def require_stable(loop: System, x0: np.ndarray, gains: str) -> None:
     """Refuse a loop that is not asymptotically stable."""
     with warnings.catch_warnings():  # the verdict counts the error of differences in
@@ -81,16 +102,21 @@ def require_holding(limit: float | None, u0: np.ndarray, what: str) -> None:
         )
 
 
+def matrix_of(name: str, value: Any, shape: tuple[int, int]) -> np.ndarray:
+    """Return a matrix (m, p), from its diagonal or one number for all of it if m = p."""
+    m, p = shape
+    matrix = _validate.real_array(name, value)
+    if m == p and matrix.shape in ((), (m,)):
+        return np.diag(np.broadcast_to(matrix, (m,)))
+    if matrix.shape != shape:
+        also = f", be its diagonal of shape ({m},) or a number" if m == p else ""
+        raise ValueError(f"{name} must have shape {shape}{also}, got {matrix.shape}")
+    return matrix
+
+
 def weight(name: str, value: Any, size: int, *, definite: bool = False) -> np.ndarray:
     """Return a weight (size, size) from a matrix, its diagonal, or one number for all."""
-    matrix = _validate.real_array(name, 1.0 if value is None else value)
-    if matrix.ndim == 0 or matrix.shape == (size,):
-        matrix = np.diag(np.broadcast_to(matrix, (size,)))
-    if matrix.shape != (size, size):
-        raise ValueError(
-            f"{name} must have shape ({size}, {size}), be its diagonal of shape ({size},) or a"
-            f" number, got {matrix.shape}"
-        )
+    matrix = matrix_of(name, 1.0 if value is None else value, (size, size))
     if definite:
         scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
         scaled = matrix / scale[:, None] / scale
@@ -108,22 +134,20 @@ class Portable:
         state = {name: value for name, value in vars(self).items() if name != "_plant"}
         sys = state["system"]
         if isinstance(sys, control.StateSpace):
-            matrices = [np.asarray(M) for M in (sys.A, sys.B, sys.C, sys.D)]
-            labels = sys.state_labels, sys.input_labels, sys.output_labels
-            state["system"] = None
-            state["_parts"] = matrices, sys.dt, dict(zip(_LABELS, labels, strict=True)), sys.name
+            matrices = map(np.asarray, (sys.A, sys.B, sys.C, sys.D))
+            names = {"states": sys.state_labels, "inputs": sys.input_labels, "name": sys.name}
+            names["outputs"] = sys.output_labels
+            state["system"] = partial(control.ss, *matrices, sys.dt, **names)
         return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         import control
 
-        if "_parts" in state:
-            matrices, dt, labels, name = state.pop("_parts")
-            state["system"] = control.ss(*matrices, dt, **labels, name=name)
         vars(self).update(state)
+        if getattr(state["system"], "func", None) is control.ss:
+            vars(self).update(system=state["system"]())
 
 
-_LABELS = ("states", "inputs", "outputs")
 _NEAR = 1e-4  # of the boundary, relative to A: rounding blurs repeated eigenvalues by so much
 
 
@@ -134,7 +158,9 @@ def unmoved(A: np.ndarray, B: np.ndarray, discrete: bool) -> list[complex]:
     does not blur.
     """
     values = np.linalg.eigvals(A)
-    norm = np.linalg.norm(np.hstack([A, B]))
+    norm = np.linalg.norm(A)
+    B = B * (norm / (np.linalg.norm(B) or 1.0) or 1.0)  # the units of the inputs do not matter
+    norm = norm or np.linalg.norm(B)
     edge: np.ndarray
     if discrete:
         beyond, edge = np.abs(values) - 1, values / np.where(values == 0, 1, np.abs(values))
@@ -163,8 +189,7 @@ def gain_of(
     if lost:
         mode = format_complex(lost[0], 1.0)
         raise ValueError(f"no gain stabilizes {name} at x0: no input moves its mode {mode}")
-    # In units of their own, so that a small weight is not taken for none.
-    unseen = unmoved(A.T, Q / (np.abs(Q).max() or 1.0), discrete)
+    unseen = unmoved(A.T, Q, discrete)
     solve = control.dlqr if discrete else control.lqr
     try:
         K, S, _ = map(np.asarray, solve(A, B, Q, R))
@@ -281,6 +306,7 @@ class LQR(Portable):
             raise ValueError("tracked is required with reference or integral: label what follows")
         tracked = () if self.tracked is None else self.tracked
         C = rows_of("tracked", tracked, system.states)
+        require_timeless(system, x0, u0)
         sys = linearize(system, x0, u0)
         A, B = np.asarray(sys.A), np.asarray(sys.B)
         feedforward = np.zeros((n + m, len(C)))
@@ -293,17 +319,8 @@ class LQR(Portable):
             B = np.concatenate([B, np.zeros((p, m))])
             Q = scipy.linalg.block_diag(Q, weight("integral", self.integral, p))
         K, S = gain_of(system.name, A, B, Q, R, system.dt)
-        for name, value in {
-            "x0": x0,
-            "u0": u0,
-            "limit": limit,
-            "K": K,
-            "S": S,
-            "wrapped": circle.tolist(),
-            "C": C,
-            "feedforward": feedforward,
-        }.items():
-            object.__setattr__(self, name, value)
+        vars(self).update(x0=x0, u0=u0, limit=limit, K=K, S=S, wrapped=circle.tolist())
+        vars(self).update(C=C, feedforward=feedforward)
         self.target(0.0)  # reports what is wrong with the reference
 
     def _feedforward(self, A: np.ndarray, B: np.ndarray, C: np.ndarray) -> np.ndarray:
@@ -377,14 +394,10 @@ class LQR(Portable):
         """The closed loop with its integrals; its inputs are disturbances."""
         system = as_system(self.system, self.x0, self.u0)
         p = self.K.shape[1] - system.n
-        return System(
-            rate=lambda y, d, t: self._closed(system, y, d, t),
-            states=(*system.states, *(f"z{i + 1}" for i in range(p))),
-            inputs=system.inputs,
-            dt=system.dt,
+        return replace(
+            closed_loop(system, partial(self._closed, system), {"z": p}, "LQR"),
             linear=system.linear and self.limit is None and not self.wrapped,
-            name=f"{system.name} with LQR",
-            batched=system.batched,
+            timed=system.timed or callable(self.reference),
         )
 
     def _closed(self, system: System, y: np.ndarray, d: np.ndarray, t: float) -> np.ndarray:
@@ -413,6 +426,7 @@ def holding_control(system: System, target: Any, limit: float | None) -> np.ndar
         )
     target = _validate.real_array("target", target, (system.m,))
     at_rest = np.concatenate([target, np.zeros(system.m)])
+    require_timeless(system, at_rest, 0 * target)
     u = find_equilibrium(system, at_rest, fixed=system.states).u
     require_holding(limit, u, "the target")
     return u
@@ -463,8 +477,8 @@ class PD(Portable):
         system = as_system(self.system, at_rest, idle)  # of a plain function, they tell n and m
         limit = None if self.limit is None else _validate.positive("limit", self.limit)
         kp, kd = _validate.number("kp", self.kp), _validate.number("kd", self.kd)
-        object.__setattr__(self, "u0", holding_control(system, self.target, limit))
-        object.__setattr__(self, "target", _validate.real_array("target", self.target))
+        u0 = holding_control(system, self.target, limit)
+        vars(self).update(u0=u0, target=_validate.real_array("target", self.target))
         loop = as_system(lambda x: system.dynamics(x, self._unlimited(x)), at_rest, dt=system.dt)
         loop = replace(loop, linear=system.linear)
         require_stable(loop, at_rest, f"the gains kp = {kp:g}, kd = {kd:g}")

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,10 +14,13 @@ from statebook import _validate
 from statebook.controllers.linear import (
     Portable,
     at_rest_at,
+    closed_loop,
     columns,
     holding_control,
+    matrix_of,
     require_holding,
     require_stable,
+    require_timeless,
     rows_of,
     saturate,
     state_of,
@@ -114,7 +118,7 @@ class PID(Portable):
             x0, u0 = self._equilibrium(system, target)
             require_holding(limit, u0, "the target")
         names, shape = ("kp", "ki", "kd"), (system.m, len(target))
-        gains = tuple(_gain(name, getattr(self, name), shape) for name in names)
+        gains = tuple(matrix_of(name, getattr(self, name), shape) for name in names)
         filter_time = self.filter_time
         if filter_time is not None:
             filter_time = _validate.positive("filter_time", filter_time)
@@ -122,15 +126,8 @@ class PID(Portable):
             if not gains[0].any():
                 raise ValueError("filter_time is required for kd without kp: d is filtered")
             filter_time = float(np.abs(gains[2]).max() / np.abs(gains[0]).max()) / 10
-        for name, value in {
-            "target": target,
-            "limit": limit,
-            "filter_time": filter_time,
-            "x0": x0,
-            "u0": u0,
-            "gains": gains,
-        }.items():
-            object.__setattr__(self, name, value)
+        vars(self).update(target=target, limit=limit, x0=x0, u0=u0, gains=gains)
+        vars(self).update(filter_time=filter_time)
         loop, at_rest = self._loop(None), np.concatenate([x0, np.zeros(len(target))])
         if filter_time is not None:
             at_rest = np.concatenate([at_rest, measure(x0)])
@@ -201,25 +198,18 @@ class PID(Portable):
             C = np.stack([measure(e) - y for e in np.eye(n)], axis=1)
             x = np.linalg.lstsq(C, target - y, rcond=None)[0]
 
-        def residual(z: np.ndarray) -> np.ndarray:
-            motion = system.dynamics(z[:n], z[n:]) - (z[:n] if system.discrete else 0.0)
-            return np.concatenate([motion, measure(z[:n]) - target])
-
-        # As many equations as unknowns, as find_equilibrium wants of a system: lacking or
-        # surplus ones are zeros.
-        short = max(0, system.m - len(target))
-        guess = np.concatenate([x, u, np.zeros(max(0, len(target) - system.m))])
-        square = as_system(
-            lambda z: np.concatenate([residual(z[: n + system.m]), np.zeros(short)]), guess
-        )
+        require_timeless(system, x, u)
+        labels = [f"y{i + 1}" for i in range(len(target))]
+        seen = SimpleNamespace(output_labels=labels, output=lambda t, x, u: measure(x))
+        wanted = dict(zip(labels, target.tolist(), strict=True))
         try:
-            z = find_equilibrium(square, guess).x
+            found = find_equilibrium(replace(system, source=seen), x, u, fixed=[], outputs=wanted)
         except EquilibriumNotFoundError as error:
             raise ValueError(
                 f"target cannot be held: no state of {system.name} at rest with the outputs"
                 f" {target.tolist()} was found; give x_guess and u_guess near one ({error})"
             ) from error
-        return z[:n], z[n : n + system.m]
+        return found.x, found.u
 
     @property
     def loop(self) -> System:
@@ -227,19 +217,10 @@ class PID(Portable):
         return self._loop(self.limit)
 
     def _loop(self, limit: float | None) -> System:
-        system, measure = self._plant
-        memories = ("z",) if self.filter_time is None else ("z", "f")
-        return System(
-            rate=lambda y, d, t: self._closed(system, measure, limit, y, d, t),
-            states=(
-                *system.states,
-                *(f"{name}{i + 1}" for name in memories for i in range(len(self.target))),
-            ),
-            inputs=system.inputs,
-            dt=system.dt,
-            name=f"{system.name} with PID",
-            batched=system.batched,
-        )
+        system = self._plant[0]
+        names = ("z",) if self.filter_time is None else ("z", "f")
+        memories = dict.fromkeys(names, len(self.target))
+        return closed_loop(system, partial(self._closed, limit), memories, "PID")
 
     def __call__(self, y: Any, t: float) -> np.ndarray:
         """Evaluate the control at y = (x, z) or (x, z, f), shape (m,) or (m, N)."""
@@ -268,14 +249,9 @@ class PID(Portable):
         return float(system.dt or 0) if system.discrete else 0.0
 
     def _closed(
-        self,
-        system: System,
-        measure: Measurement,
-        limit: float | None,
-        state: np.ndarray,
-        d: np.ndarray,
-        t: float,
+        self, limit: float | None, state: np.ndarray, d: np.ndarray, t: float
     ) -> np.ndarray:
+        system, measure = self._plant
         n, p = system.n, len(self.target)
         x, z, f = state[:n], state[n : n + p], state[n + p :]
         y = measure(x)
@@ -287,18 +263,6 @@ class PID(Portable):
             left = np.exp(-step / self.filter_time)
             memory.append(y + left * (f - y) if step else (y - f) * self._pace())
         return np.concatenate([motion, *memory])
-
-
-def _gain(name: str, value: Any, shape: tuple[int, int]) -> np.ndarray:
-    """Return a gain (m, p) from a matrix, or from what pairs inputs and outputs by index."""
-    m, p = shape
-    matrix = _validate.real_array(name, value)
-    if m == p and matrix.shape in ((), (m,)):
-        return np.diag(np.broadcast_to(matrix, (m,)))
-    if matrix.shape != shape:
-        also = f", ({m},) or be a number" if m == p else ""
-        raise ValueError(f"{name} must have shape {shape}{also}, got {matrix.shape}")
-    return matrix
 
 
 def _shown(gain: Any) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 
 from statebook import _validate
 from statebook.angles import wrap_angle
-from statebook.controllers.linear import LQR
+from statebook.controllers.linear import LQR, state_of
 from statebook.models.cart_pole import CartPole
 from statebook.models.pendulum import Pendulum
 from statebook.simulation import simulate
@@ -79,7 +79,7 @@ class SwingUp:
         if self.pendulum.g == 0:
             raise ValueError("pendulum must have weight to swing, got g = 0; LQR alone moves it")
         catch = LQR(self.pendulum, [np.pi / 2, 0.0], limit=limit, circle=("theta",))
-        object.__setattr__(self, "catch", catch)
+        vars(self).update(catch=catch)
         if self.pendulum.damping > 0:
             self._require_growth()
 
@@ -107,7 +107,7 @@ class SwingUp:
 
     def __call__(self, x: Any, t: float) -> np.ndarray:
         """Evaluate u(x, t), shape (1,) or (1, N)."""
-        x = np.asarray(x, dtype=float)
+        x = state_of(x, 2)
         top = self.pendulum.m * self.pendulum.g * self.pendulum.L
         lack = top - self.pendulum.energy(x)
         caught = self._caught(x)
@@ -159,9 +159,15 @@ def cart_force(cartpole: CartPole, x: Any, acceleration: Any) -> np.ndarray:
     >>> cart_force(CartPole(m_cart=2.0, m_pole=1.0), [0.0, -np.pi / 2, 0.0, 0.0], 3.0).round(9)
     np.float64(6.0)
     """
+    if not isinstance(cartpole, CartPole):
+        raise TypeError(f"cartpole must be a CartPole, got {type(cartpole).__name__}")
     idle = cartpole.dynamics(x, [0.0, 0.0])[2]
-    per_newton = cartpole.dynamics(x, [1.0, 0.0])[2] - idle
-    return (np.asarray(acceleration) - idle) / per_newton
+    acceleration = _validate.array("acceleration", acceleration)
+    if acceleration.shape not in ((), (1,), idle.shape):
+        raise ValueError(
+            f"acceleration must be a number or have shape {idle.shape}, got {acceleration.shape}"
+        )
+    return (acceleration - idle) / (cartpole.dynamics(x, [1.0, 0.0])[2] - idle)
 
 
 def _without_torque(cartpole: CartPole, x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
@@ -255,8 +261,8 @@ class CartPoleSwingUp:
         )
         at_top = [target, np.pi / 2, 0.0, 0.0]
         catch = LQR(system, at_top, Q=self.Q, R=self.R, limit=self.limit, circle=("theta",))
-        object.__setattr__(self, "catch", catch)
-        object.__setattr__(self, "trial", self._try())
+        vars(self).update(catch=catch)
+        vars(self).update(trial=self._try())
 
     def _try(self) -> Trajectory:
         hanging = [self.start, -np.pi / 2, 0.0, 0.0]

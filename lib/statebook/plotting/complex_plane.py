@@ -55,8 +55,7 @@ def eigenvalues(
     else:
         ax.axvline(0, linestyle="--", color="0.4", linewidth=1)
     ax.plot(values.real, values.imag, "x", markeredgewidth=2, label=label)
-    ax.set_xlabel("real part")
-    ax.set_ylabel("imaginary part")
+    ax.set(xlabel="real part", ylabel="imaginary part")
     return ax
 
 
@@ -100,8 +99,6 @@ def stability_region(
     ax.contour(x, y, growth, levels=[1.0], colors=["#12407a"], linewidths=1.2)
     ax.axhline(0, color="0.4", linewidth=0.6)
     ax.axvline(0, color="0.4", linewidth=0.6)
-    ax.set_aspect("equal")
-    ax.set_xlabel("real part of $h\\lambda$")
-    ax.set_ylabel("imaginary part of $h\\lambda$")
-    ax.set_title(getattr(method, "name", method))
+    ax.set(xlabel="real part of $h\\lambda$", ylabel="imaginary part of $h\\lambda$")
+    ax.set(aspect="equal", title=getattr(method, "name", method))
     return ax

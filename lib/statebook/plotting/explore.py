@@ -242,6 +242,7 @@ def _drawn(draw: Callable[..., Any], point: Mapping[str, Any], *, still: bool) -
     with plt.ioff(), plt.rc_context(options):
         before = set(plt.get_fignums())
         try:
+            plt.figure()  # or draw would paint over a figure that is open
             draw(**point)
             figure = plt.gcf()
             file, picture = io.StringIO(), io.BytesIO()

@@ -9,29 +9,26 @@ import numpy as np
 
 from statebook import _validate
 from statebook.plotting.style import new_axes, window
-from statebook.systems import System, as_system
+from statebook.systems import as_system
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-def _plane(
-    system: Any, xlim: Sequence[float], ylim: Sequence[float], u: Any, number: int
-) -> tuple[System, np.ndarray, np.ndarray, np.ndarray]:
-    """Return the system, its states on a grid of the plane and their derivatives there."""
+def _field(
+    system: Any, xlim: Sequence[float], ylim: Sequence[float], u: Any, number: int, ax: Axes | None
+) -> tuple[Axes, tuple[np.ndarray, ...]]:
+    """Return labelled axes, the states on a grid of their plane and the derivatives there."""
     x, y = window("xlim", xlim), window("ylim", ylim)
     X, Y = np.meshgrid(np.linspace(*x, number), np.linspace(*y, number))
     points = np.stack([X.ravel(), Y.ravel()])
     system = as_system(system, points[:, 0], u)
     if system.n != 2:
         raise ValueError(f"the system must have two states to be drawn, got {system.n}")
-    return system, X, Y, system.dynamics(points, u).reshape(2, *X.shape)
-
-
-def _label(ax: Axes, system: System) -> Axes:
-    ax.set_xlabel(system.states[0])
-    ax.set_ylabel(system.states[1])
-    return ax
+    rates = system.dynamics(points, u).reshape(2, *X.shape)
+    ax = new_axes(ax)
+    ax.set(xlabel=system.states[0], ylabel=system.states[1])
+    return ax, (X, Y, *rates)
 
 
 def flow(
@@ -68,12 +65,10 @@ def flow(
     >>> flow(lambda x: [x[1], -x[0]], (-1, 1), (-1, 1)).get_xlabel()
     'x[0]'
     """
-    system, X, Y, (dX, dY) = _plane(system, xlim, ylim, u, 60)
-    ax = new_axes(ax)
+    ax, (X, Y, dX, dY) = _field(system, xlim, ylim, u, 60, ax)
     ax.streamplot(X, Y, dX, dY, density=1.0, color="0.65", linewidth=0.7, arrowsize=0.8)
-    ax.set_xlim(*xlim)
-    ax.set_ylim(*ylim)
-    return _label(ax, system)
+    ax.set(xlim=xlim, ylim=ylim)
+    return ax
 
 
 def arrows(
@@ -108,10 +103,9 @@ def arrows(
     >>> arrows(lambda x: [x[1], -x[0]], (-1, 1), (-1, 1)).get_ylabel()
     'x[1]'
     """
-    system, X, Y, (dX, dY) = _plane(system, xlim, ylim, u, _validate.integer("number", number, 2))
-    ax = new_axes(ax)
-    ax.quiver(X, Y, dX, dY, angles="xy", color="0.4", width=0.003)
-    return _label(ax, system)
+    ax, field = _field(system, xlim, ylim, u, _validate.integer("number", number, 2), ax)
+    ax.quiver(*field, angles="xy", color="0.4", width=0.003)
+    return ax
 
 
 def phase_portrait(

@@ -52,8 +52,6 @@ def timed_path(timed: TimedPath, *, ax: Axes | None = None) -> Axes:
     limit = timed.maximum_speed(s)
     ax.plot(s, np.where(np.isfinite(limit), limit, np.nan), "--", color="0.4", label="maximum")
     ax.plot(timed.s, timed.sdot, color="C0", label="profile")
-    ax.set_ylim(0, 1.3 * timed.sdot.max())
-    ax.set_xlabel("$s$")
-    ax.set_ylabel("$s'$ [1/s]")
+    ax.set(xlabel="$s$", ylabel="$s'$ [1/s]", ylim=(0, 1.3 * timed.sdot.max()))
     ax.legend()
     return ax

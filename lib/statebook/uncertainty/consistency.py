@@ -59,6 +59,7 @@ def consistency(errors: Any, covariance: Any) -> float:
             " to compare with; leave that component out"
         ) from None
     normalized = scipy.linalg.solve_triangular(factor, errors, lower=True)
-    total = float(np.sum(normalized**2))
+    with np.errstate(over="ignore"):
+        total = float(np.sum(normalized**2))
     tails = scipy.special.chdtr(errors.size, total), scipy.special.chdtrc(errors.size, total)
     return float(min(1.0, 2 * min(tails)))

@@ -50,15 +50,9 @@ def with_disturbance(system: Any, G: Any = None) -> System:
     n = system.n
     G = np.eye(n) if G is None else _validate.real_array("G", G, (n, None))
 
-    return System(
-        rate=partial(_pushed, system, G),
-        states=system.states,
-        inputs=(*system.inputs, *(f"w[{i}]" for i in range(G.shape[1]))),
-        dt=system.dt,
-        linear=system.linear,
-        name=f"{system.name} with disturbance",
-        source=system,
-    )
+    inputs = (*system.inputs, *(f"w[{i}]" for i in range(G.shape[1])))
+    name, rate = f"{system.name} with disturbance", partial(_pushed, system, G)
+    return replace(system, rate=rate, inputs=inputs, name=name, source=system, batched=True)
 
 
 def with_actuation_error(policy: Policy, noise: HeldNoise, *, gain: Any = 1.0) -> Policy:
@@ -91,14 +85,12 @@ def with_actuation_error(policy: Policy, noise: HeldNoise, *, gain: Any = 1.0) -
     >>> policy(np.array([[2.0, 4.0], [0.0, 0.0]]), 0.0)
     array([[-3., -6.]])
     """
-    noise = _noise("noise", noise)
+    noise = _noise(noise)
     m = noise.size
     gain = _validate.real_array("gain", gain)
     if gain.shape not in ((), (m, m)):
         raise ValueError(f"gain must be a number or have shape ({m}, {m}), got {gain.shape}")
-    gain = gain * np.eye(m) if gain.ndim == 0 else gain
-
-    return partial(_acting, policy, noise, gain)
+    return partial(_acting, policy, noise, gain if gain.ndim else gain * np.eye(m))
 
 
 def with_measurement_error(policy: Policy, noise: HeldNoise) -> Policy:
@@ -126,9 +118,7 @@ def with_measurement_error(policy: Policy, noise: HeldNoise) -> Policy:
     >>> with_measurement_error(lambda x, t: -3 * x[:1], noise)(np.zeros((2, 1)), 0.0)
     array([[-1.5]])
     """
-    noise = _noise("noise", noise)
-
-    return partial(_misled, policy, noise)
+    return partial(_misled, policy, _noise(noise))
 
 
 def with_parameters(model: Any, names: Sequence[str]) -> System:
@@ -232,9 +222,9 @@ def control_of(policy: Any, x: np.ndarray, t: float, m: int, name: str = "policy
     return np.broadcast_to(value, (m, number))
 
 
-def _noise(name: str, noise: Any) -> HeldNoise:
+def _noise(noise: Any) -> HeldNoise:
     if not isinstance(noise, HeldNoise):
-        raise TypeError(f"{name} must be a HeldNoise, got {type(noise).__name__}")
+        raise TypeError(f"noise must be a HeldNoise, got {type(noise).__name__}")
     return noise
 
 

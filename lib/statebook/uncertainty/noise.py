@@ -129,15 +129,13 @@ class HeldNoise:
         bias = _validate.real_array("bias", self.bias)
         if bias.shape not in ((), (q,)):
             raise ValueError(f"bias must be a number or have shape ({q},), got {bias.shape}")
-        fields = {
-            "covariance": covariance,
-            "period": _validate.positive("period", self.period),
-            "seed": _seed(self.seed),
-            "bias": np.broadcast_to(bias, (q,)),
-            "_root": square_root(covariance),
-        }
-        for name, value in fields.items():
-            object.__setattr__(self, name, value)
+        vars(self).update(
+            covariance=covariance,
+            period=_validate.positive("period", self.period),
+            seed=_seed(self.seed),
+            bias=np.broadcast_to(bias, (q,)),
+            _root=square_root(covariance),
+        )
 
     @classmethod
     def white(cls, intensity: Any, period: float, *, seed: Any, bias: Any = 0.0) -> HeldNoise:
@@ -200,14 +198,9 @@ class HeldNoise:
         return values[0] if number is None else values.T
 
     def __repr__(self) -> str:
-        covariance, bias = (
-            " ".join(
-                np.array2string(
-                    a + 0.0, separator=", ", formatter={"float": lambda value: f"{value:.4g}"}
-                ).split()
-            )
-            for a in (self.covariance, self.bias)
-        )
+        style: Any = {"separator": ", ", "formatter": {"float": "{:.4g}".format}}
+        shown = (np.array2string(a + 0.0, **style) for a in (self.covariance, self.bias))
+        covariance, bias = (" ".join(text.split()) for text in shown)
         return f"HeldNoise(covariance={covariance}, period={self.period:g} s, bias={bias})"
 
 
@@ -266,6 +259,8 @@ def discretize_noise(A: Any, G: Any, intensity: Any, dt: float) -> np.ndarray:
     A = _validate.real_array("A", A, (None, None))
     n = len(A)
     A = _validate.real_array("A", A, (n, n))
+    if n == 0:
+        raise ValueError("A must have at least one row, got none")
     G = _validate.real_array("G", G, (n, None))
     Q = covariance_matrix("intensity", intensity, G.shape[1])
     dt = _validate.positive("dt", dt)
