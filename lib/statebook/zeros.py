@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from statebook.derivatives import search_jacobian
+from statebook.complex_step import search_jacobian
 from statebook.invariants import invariants
 from statebook.residuals import noise_of, scale_of
 from statebook.systems import System, output_map
