@@ -10,28 +10,23 @@ and what they are worth there; that decides.
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from statebook.complex_step import ALONE, CHUNK, COMPLEX_STEP, Evaluate, complex_step, step_scale
 from statebook.errors import KinkError
 from statebook.ladder import Ladder, descend, romberg, slopes_jump
 
-_COMPLEX_STEP = 1e-40  # relative to the scale of a variable
 _RADIUS = 0.019318516525781  # of the first differences: no multiple of anybody's period
 _RADII = _RADIUS * np.array([1.0, 0.5, 0.25])
 _STEPS = np.concatenate([_RADII, -_RADII])
 _NEAR = _RADIUS / 80 * np.array([1.0, 0.5, -1.0, -0.5])  # in all columns at once
 _FAR = 0.31066017177982  # where f is looked at once more: a staircase is flat nearby
 _STEPS_ALONE = np.append(_STEPS, _FAR)
-_CHUNK = 1024  # points that a cache holds, and of arrays that cost no new pages
-_ALONE = 64  # points, up to which every column is checked alone
 _TRUSTED = 1e-6  # relative error up to which differences are evidence
 _EPS = float(np.finfo(float).eps)
-
-Evaluate = Callable[[np.ndarray], np.ndarray]
 
 
 def _weights() -> np.ndarray:
@@ -84,12 +79,6 @@ class Derivative(NamedTuple):
     error: np.ndarray
     inexact: np.ndarray
     flat: np.ndarray
-
-
-def step_scale(z: np.ndarray) -> np.ndarray:
-    """Return the size of a variation of z: its own size, and 1 where it is zero."""
-    size = np.abs(z)
-    return np.where(size > 1e-14, size, 1.0)
 
 
 def derivative(
@@ -152,65 +141,6 @@ def differentiate(
         return _Differentiation(f, z, columns, scale, labels, f0).result()
 
 
-def complex_step(
-    f: Evaluate, z: np.ndarray, s: np.ndarray, columns: np.ndarray, step: float = _COMPLEX_STEP
-) -> np.ndarray | None:
-    """Return Im f(z + i h e_j) / h, (n, c, N), unchecked; None where f is real-only."""
-    k, N, c = *z.shape, len(columns)
-    h = step * s[columns]
-    # One call for all columns if they are few; large batches are faster in parts.
-    width, length = (c, N) if N <= _ALONE else (1, _CHUNK)
-    J: np.ndarray | None = None
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", np.exceptions.ComplexWarning)
-        for first in range(0, N, length):
-            some = slice(first, first + length)
-            shifted = np.repeat(z[:, None, some].astype(complex), width, axis=1)
-            for a in range(0, c, width):
-                chosen, part = columns[a : a + width], h[a : a + width, some]
-                shifted.imag[chosen, np.arange(width)] = part
-                try:
-                    result = f(shifted.reshape(k, -1))
-                except Exception:  # whatever f does with numbers it was not written for
-                    return None
-                if result.dtype != complex:  # real, or too short for the step
-                    return None
-                if J is None:
-                    J = np.empty((len(result), c, N))
-                np.divide(
-                    result.imag.reshape(-1, width, part.shape[1]),
-                    part,
-                    out=J[:, a : a + width, some],
-                )
-                shifted.imag[chosen] = 0.0
-    return J
-
-
-def search_jacobian(f: Evaluate, z: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """Return d f / d z at one point z (k,), fast and not verified; NaN where undefined.
-
-    By complex step, if that agrees with differences along one direction, or by differences of
-    steps of 1e-6 s.
-    """
-    with np.errstate(all="ignore"):
-        direction = s * np.random.default_rng(z.size).uniform(0.5, 1.0, z.size)
-        exact = complex_step(f, z[:, None], s[:, None], np.arange(z.size))
-        if exact is not None:
-            steps = np.array([2e-5, -2e-5, 1e-5, -1e-5])
-            values = f(z[:, None] + direction[:, None] * steps).T.astype(float)
-            J = exact[..., 0]
-            slope = (values[::2] - values[1::2]) / (2 * steps[::2, None])
-            found, size = (4 * slope[1] - slope[0]) / 3, np.abs(J) @ direction
-            allowed = 1e-3 * size + 2 * np.abs(slope[1] - slope[0]) + 1e-9 * np.abs(values[0])
-            if (np.abs(J @ direction - found) <= allowed).all():
-                return J
-        h = 1e-6 * np.diag(s)
-        up, down = np.split(
-            f(z[:, None] + np.concatenate([h, -h], axis=1)).astype(float), 2, axis=1
-        )
-        return (up - down) / (2e-6 * s)
-
-
 class _Differentiation:
     """The derivatives of f at points z, while they are being found."""
 
@@ -247,7 +177,7 @@ class _Differentiation:
             exact = complex_step(self.f, self.z, self.s, self.columns)
             if exact is not None:
                 self.J = exact if np.isfinite(exact).all() else exact + 0 * exact  # inf to NaN
-            if exact is None or N <= _ALONE:
+            if exact is None or N <= ALONE:
                 self._check_alone(np.arange(c), np.arange(N), exact is not None)
             else:
                 self._check_jointly()
@@ -266,11 +196,11 @@ class _Differentiation:
         d = np.zeros((len(self.z), 1))
         d[self.columns, 0] = rng.uniform(0.5, 1, c) * rng.choice([-1, 1], c)
         again = np.zeros(N, dtype=bool)
-        for first in range(0, N, _CHUNK):
-            some = slice(first, first + _CHUNK)
+        for first in range(0, N, CHUNK):
+            some = slice(first, first + CHUNK)
             again[some] = self._in_doubt(some, d * self.s[:, some])
         # A column that seems to have no part in a row may have one that the step does not see.
-        again[rng.choice(N, _ALONE // 2, replace=False)] = True
+        again[rng.choice(N, ALONE // 2, replace=False)] = True
         points = np.flatnonzero(again)
         before = J[..., points].copy()
         self._check_alone(np.arange(c), points, True)
@@ -380,7 +310,7 @@ class _Differentiation:
         suspect = (J[here] != 0) & ~(np.abs(J[here]) > floor)
         if suspect.any():
             z, s = self.z[:, points], self.s[:, points]
-            again = complex_step(self.f, z, s, self.columns[cols], _COMPLEX_STEP * 1e-10)
+            again = complex_step(self.f, z, s, self.columns[cols], COMPLEX_STEP * 1e-10)
             if again is not None:
                 steady = np.abs(again - J[here]) <= 1e-3 * np.abs(J[here])
                 J[here] = np.where(suspect & ~steady, 0.0, J[here])

@@ -180,3 +180,16 @@ def depends_on_time(
 def spread_beside(x: np.ndarray, number: int) -> np.ndarray:
     """Return `number` different columns beside x, (n, number), the first of them x."""
     return x[:, None] + (1 + np.abs(x))[:, None] * np.linspace(0, 1e-3, number)
+
+
+def copied(value: Any) -> np.ndarray:
+    """Return what a function returned, which may be its buffer, as another array."""
+    try:
+        return np.array(value)
+    except ValueError as error:
+        rows = [np.shape(row) for row in value]
+        odd = next(i for i, shape in enumerate(rows) if shape != rows[0] or shape)
+        raise TypeError(
+            "a system's function must return one number for each state, got rows of the shapes"
+            f" {', '.join(map(str, rows))}; in row {odd} write u[0] instead of u, say ({error})"
+        ) from None

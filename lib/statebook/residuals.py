@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from statebook import _validate
-from statebook.derivatives import Derivative, differentiate, step_scale
+from statebook.complex_step import step_scale
+from statebook.derivatives import Derivative, differentiate
 from statebook.systems import System
 
 TOLERANCE = 1e-8  # relative error of a state that a caller has written down

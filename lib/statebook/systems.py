@@ -12,6 +12,7 @@ from statebook import _validate
 from statebook.models.base import Model
 from statebook.probes import (
     arguments_of,
+    copied,
     depends_on_time,
     number_of_inputs,
     require_pure,
@@ -290,7 +291,7 @@ def _from_function(
     timed = driven and accepted == 3
 
     def call(x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
-        return _copied(f(x, u, t) if timed else f(x, u) if driven else f(x))
+        return copied(f(x, u, t) if timed else f(x, u) if driven else f(x))
 
     def rate(x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
         return call(x.copy(), u.copy(), t)  # f must not change the caller's arrays
@@ -325,19 +326,6 @@ def _from_function(
         batched=takes_batches(at_start, *beside, alone=at_start, rtol=1e-12),
         timed=timed,
     )
-
-
-def _copied(value: Any) -> np.ndarray:
-    """Return what a function returned, which may be its buffer, as another array."""
-    try:
-        return np.array(value)
-    except ValueError as error:
-        rows = [np.shape(row) for row in value]
-        odd = next(i for i, shape in enumerate(rows) if shape != rows[0] or shape)
-        raise TypeError(
-            "a system's function must return one number for each state, got rows of the shapes"
-            f" {', '.join(map(str, rows))}; in row {odd} write u[0] instead of u, say ({error})"
-        ) from None
 
 
 def time_of(system: System, x: np.ndarray, u: np.ndarray, t: float | None) -> float:
