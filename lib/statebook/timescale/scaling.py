@@ -19,7 +19,7 @@ from statebook.timescale.ends import Pauses, read_dwell, speed_at_end, take
 from statebook.timescale.friction import at_rest, rests, settle
 from statebook.timescale.grid import Grid, lay_grid
 from statebook.timescale.jerk import read_jerk, stop_at_bends
-from statebook.timescale.jerk_program import limit_jerk
+from statebook.timescale.jerk_search import limit_jerk
 from statebook.timescale.limits import Limit, TorqueLimit, kinematic_limits
 from statebook.timescale.path import Path
 from statebook.timescale.profile import Profile, audit
