@@ -79,6 +79,28 @@ def ceiling(limits: Sequence[Limit], grid: Grid) -> Ceiling:
     return Ceiling(x, np.concatenate(times), possible)
 
 
+def maximum_speeds(limits: Sequence[Limit], grid: Grid, s: np.ndarray) -> np.ndarray:
+    """Return the largest s' for which some s'' satisfies all limits at s, shape (N,)."""
+    grid, middle, one = grid.at(s), np.zeros(1), np.ones(len(s))
+    rows = []
+    for limit in limits:
+        a, b, c = limit.terms(grid, middle, one)
+        size = limit.scale**2 if limit.squared else limit.scale
+        if limit.squared:
+            lower, upper = np.array(-np.inf), limit.squared_bounds(grid, middle)
+        else:
+            lower, upper = limit.bounds(grid, middle)
+        if limit.norm and a is not None:
+            a, b = polygon(a, b)
+            lower = np.full_like(upper, -np.inf)
+        shift = 0.0 if c is None else c
+        parts = (0.0 if a is None else a, b, lower - shift, upper - shift)
+        rows.append([np.broadcast_to(part / size, b.shape) for part in parts])
+    a, b, lower, upper = (np.concatenate(values, axis=2) for values in zip(*rows, strict=True))
+    a = np.where(np.abs(a) > 1e-12 * np.abs(a).max(axis=(0, 1)), a, 0.0)
+    return np.asarray(np.sqrt(_highest(a, b, lower, upper)[0]) / grid.stretch)
+
+
 class Changes(NamedTuple):
     """Bounds at the nodes of the intervals: low <= m x - m0 x0 <= high, each (K, N, R).
 
