@@ -142,7 +142,7 @@ class _Program:
     rows: int = 0
 
     def add(
-        self, x: Any, u: Any, bound: Any, name: Any = "", s: Any = None, soft: bool = False
+        self, x: Any, u: Any, bound: Any, name: Any = "", s: Any = np.nan, soft: bool = False
     ) -> None:
         """Add rows: x and u are lists of pairs of gridpoints and coefficients there.
 
@@ -158,12 +158,7 @@ class _Program:
             self.entries.append((index, np.array(2 * len(self.x)), np.array(-1.0)))
         self.rows += len(bound)
         self.bounds.append(bound)
-        self.names.append(
-            (
-                np.broadcast_to(name, bound.shape),
-                np.broadcast_to(np.nan if s is None else s, bound.shape),
-            )
-        )
+        self.names.append((np.broadcast_to(name, bound.shape), np.broadcast_to(s, bound.shape)))
 
     def add_used(
         self,
