@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -55,7 +56,7 @@ class Limit(ABC):
     norm = False
     form = "{kind} of {of} {row}, {side} limit"
 
-    @property
+    @cached_property
     def scale(self) -> np.ndarray:
         """Size of each row's finite bounds, shape (R,); 1 where there is none."""
         bounds = np.abs(np.stack([self.lower, self.upper]))
