@@ -229,6 +229,20 @@ def test_pendulum_threshold_torque_by_bisection() -> None:
     assert high == pytest.approx(0.724611, abs=2e-3)
 
 
+@pytest.mark.parametrize(("part", "angle"), [(0.3, 0.619567), (0.5, 1.109144), (0.6, 1.425720)])
+def test_refusal_is_where_the_motor_has_given_no_energy_any_more(part: float, angle: float) -> None:
+    """That is the smallest x > 0 with 1 - cos x = part x, an angle from hanging."""
+    m, length, g = PENDULUM
+    assert 1 - np.cos(angle) == pytest.approx(part * angle, rel=1e-5)
+    with pytest.raises(sb.InfeasiblePathError, match="torque of row 0, upper") as caught:
+        sb.time_scale(
+            sb.Path.through([[-np.pi / 2, np.pi / 2]]),
+            torque=part * m * g * length,
+            inverse_dynamics=pendulum_torque,
+        )
+    assert caught.value.s == pytest.approx(angle / np.pi, abs=0.01)
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_arm_torques(seed: int) -> None:
     rng = np.random.default_rng(seed)

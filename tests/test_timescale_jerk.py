@@ -11,7 +11,7 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline, PPoly
 
 import statebook as sb
-from statebook.timescale import jerk_program
+from statebook.timescale import jerk_search
 
 pytest.importorskip("toppra")
 pytest.importorskip("clarabel")
@@ -171,7 +171,7 @@ def test_torque_under_gravity_is_kept_with_a_jerk_limit() -> None:
 def test_finer_grids_gain_no_more_than_the_gap(monkeypatch: pytest.MonkeyPatch) -> None:
     path = sb.Path.through(np.random.default_rng(6).normal(size=(2, 5)))
     timed = sb.time_scale(path, 2.0, 5.0, jerk=15.0, tolerance=3e-3)
-    monkeypatch.setattr(jerk_program, "_FIRST", 400)
+    monkeypatch.setattr(jerk_search, "_FIRST", 400)
     fine = sb.time_scale(path, 2.0, 5.0, jerk=15.0, tolerance=3e-3)
     assert timed.duration * (1 - timed.gap) <= fine.duration <= timed.duration
 

@@ -3,7 +3,7 @@
 `path`, `blend` and `grid` hold the geometry, `limits` and `torques` the limits, `rows` turns these
 into linear inequalities (with `bernstein`), `stages` solves them by TOPP-RA, `solve` chooses the
 grid, `profile` is the motion found and its audit, `jerk` the one with bounded jerk, which
-`jerk_program` finds, `scaling` is the whole, `timed_path` the result.
+`jerk_search` finds by programs of `jerk_program`, `scaling` is the whole, `timed_path` the result.
 """
 
 from statebook.timescale.path import Path

@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from statebook.timescale.bernstein import along
 from statebook.timescale.grid import Grid, Section
 from statebook.timescale.limits import Limit, polygon
 from statebook.timescale.profile import travel_time
@@ -78,6 +79,28 @@ def ceiling(limits: Sequence[Limit], grid: Grid) -> Ceiling:
     return Ceiling(x, np.concatenate(times), possible)
 
 
+def maximum_speeds(limits: Sequence[Limit], grid: Grid, s: np.ndarray) -> np.ndarray:
+    """Return the largest s' for which some s'' satisfies all limits at s, shape (N,)."""
+    grid, middle, one = grid.at(s), np.zeros(1), np.ones(len(s))
+    rows = []
+    for limit in limits:
+        a, b, c = limit.terms(grid, middle, one)
+        size = limit.scale**2 if limit.squared else limit.scale
+        if limit.squared:
+            lower, upper = np.array(-np.inf), limit.squared_bounds(grid, middle)
+        else:
+            lower, upper = limit.bounds(grid, middle)
+        if limit.norm and a is not None:
+            a, b = polygon(a, b)
+            lower = np.full_like(upper, -np.inf)
+        shift = 0.0 if c is None else c
+        parts = (0.0 if a is None else a, b, lower - shift, upper - shift)
+        rows.append([np.broadcast_to(part / size, b.shape) for part in parts])
+    a, b, lower, upper = (np.concatenate(values, axis=2) for values in zip(*rows, strict=True))
+    a = np.where(np.abs(a) > 1e-12 * np.abs(a).max(axis=(0, 1)), a, 0.0)
+    return np.asarray(np.sqrt(_highest(a, b, lower, upper)[0]) / grid.stretch)
+
+
 class Changes(NamedTuple):
     """Bounds at the nodes of the intervals: low <= m x - m0 x0 <= high, each (K, N, R).
 
@@ -100,10 +123,10 @@ def _changes_and_caps(limits: Sequence[Limit], grid: Grid) -> tuple[Changes, np.
         a, b, c = limit.terms(grid, _NODES, np.ones(len(grid.h)))
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             if a is None:
-                for k in range(_COUNT):  # alone: the sign of p' may change between them
-                    bound = limit.squared_bounds(grid, _NODES[k : k + 1])
-                    room = np.where(b[k] > 0, bound / b[k], np.inf).min(axis=-1)
-                    cap[k] = np.minimum(cap[k], room.reshape(-1) * (1 + _ROUNDING + limit.margin))
+                # Each node alone: the sign of p' may change between them.
+                bound = limit.squared_bounds(grid, _NODES, lambda values: values[None])
+                room = np.where(b > 0, bound / b, np.inf).min(axis=-1).reshape(cap.shape)
+                cap = np.minimum(cap, room * (1 + _ROUNDING + limit.margin))
                 continue
             lower, upper = limit.bounds(grid, _NODES)
             if limit.norm:
@@ -119,15 +142,15 @@ def _changes_and_caps(limits: Sequence[Limit], grid: Grid) -> tuple[Changes, np.
             rows.append([(v / limit.scale)[[0, -1]] for v in (a, b, lower, upper)])
     every = Changes(*(np.concatenate(values, axis=-1) for values in zip(*changes, strict=True)))
     a, b, lower, upper = (np.concatenate(values, axis=2) for values in zip(*rows, strict=True))
-    cap[[0, -1]] = np.minimum(cap[[0, -1]], _highest(a, b, lower, upper))
     # The same for x at one end and at the other, in the place of x and u.
     m0, m1 = every.m[0], every.m[-1]
     low, high = (
         np.where(every.turn, v, ends[-1])
         for v, ends in ((-np.inf, every.low), (np.inf, every.high))
     )
-    cap[0] = np.minimum(cap[0], _highest(m1, -m0, low, high))
-    cap[-1] = np.minimum(cap[-1], _highest(-m0, m1, low, high))
+    both = [a, [m1, -m0]], [b, [-m0, m1]], [lower, [low, low]], [upper, [high, high]]
+    found = _highest(*(np.concatenate(values) for values in both))
+    cap[[0, -1]] = np.minimum(cap[[0, -1]], np.minimum(found[:2], found[2:]))
     return every, cap
 
 
@@ -136,25 +159,25 @@ def _changes(
 ) -> Changes:
     """Return the changes of m x with m = a^2 E."""
     h = h[:, None]
-    drift = b - np.tensordot(_SLOPES, a, 1) / h
+    drift = b - along(_SLOPES, a) / h
     size = np.abs(a).max(axis=0)
     small = np.abs(drift) <= _ROUNDING * (np.abs(b).max(axis=0) + size / h)
     rate = np.where(small, 0.0, 2 * h * drift / a)
     forward, backward = (a >= 0).all(axis=0), (a <= 0).all(axis=0)
     usable = (forward | backward) & (size > 0) & (np.abs(rate) <= _STEEP).all(axis=0)
     rate = np.where(usable, rate, 0.0)
-    rest = np.abs(np.tensordot(_TO_POWERS[-1], rate, 1))
+    rest = np.abs(along(_TO_POWERS[-1:], rate)[0])
     usable &= rest <= _ROUGH
-    growth = np.exp(np.tensordot(_AREAS, rate, 1))
+    growth = np.exp(along(_AREAS, rate))
     weight = 2 * h * a * growth
     pushes = [
         weight * np.where(np.isfinite(v), v, 0.0)
         for v in (np.where(forward, lower, upper), np.where(forward, upper, lower))
     ]
-    low, high = (np.tensordot(_AREAS, push, 1) for push in pushes)
+    low, high = (along(_AREAS, push) for push in pushes)
     off = [
         (_ROUNDING + _REST * rest) * np.abs(push).max(axis=0)
-        + _REST * np.abs(np.tensordot(_TO_POWERS[-1], push, 1))
+        + _REST * np.abs(along(_TO_POWERS[-1:], push)[0])
         for push in pushes
     ]
     low -= np.where(_NODES[:, None, None] > 0, off[0], 0.0)
@@ -215,16 +238,21 @@ def _highest(a: np.ndarray, b: np.ndarray, lower: np.ndarray, upper: np.ndarray)
         slope = -b / pole
         low = np.where(flat, -np.inf, np.where(a > 0, lower, upper) / pole)
         high = np.where(flat, np.inf, np.where(a > 0, upper, lower) / pole)
+        shape, x = x.shape, x.ravel()
+        low, high, slope = (v.reshape(len(x), -1) for v in (low, high, slope))
+        falling = np.arange(len(x))
         for _ in range(_NEWTON):
-            least = (low + slope * x[..., None]).argmax(axis=-1)[..., None]
-            most = (high + slope * x[..., None]).argmin(axis=-1)[..., None]
-            steep = np.take_along_axis(slope, least, -1) - np.take_along_axis(slope, most, -1)
-            room = np.take_along_axis(high, most, -1) - np.take_along_axis(low, least, -1)
-            meet = np.maximum(room / steep, 0.0)[..., 0]
-            lower_x = np.where((steep[..., 0] > 0) & (meet < x), meet, x)
-            if np.all(lower_x >= x * (1 - 1e-12)):
+            every, line = np.arange(len(falling)), slope * x[falling, None]
+            least, most = (low + line).argmax(axis=1), (high + line).argmin(axis=1)
+            steep = slope[every, least] - slope[every, most]
+            meet = np.maximum((high[every, most] - low[every, least]) / steep, 0.0)
+            on = (steep > 0) & (meet < x[falling] * (1 - 1e-12))
+            if not on.any():
                 break
-            x = lower_x
+            falling = falling[on]
+            x[falling] = meet[on]
+            low, high, slope = low[on], high[on], slope[on]
+        x = x.reshape(shape)
     return np.where(x >= _ANY, np.inf, x * (1 + _ROUNDING))
 
 
@@ -247,10 +275,14 @@ def _highest_motion(
         )
         best = top.tolist()
         inside = slice(first, last)
-        for k, lines in reversed(_lines_below(loss[inside], less[inside], top[:-1])):
-            best[k] = min(best[k], min(g * best[k + 1] + m for g, m in lines))
-        for k, lines in _lines_below(gain[inside], more[inside], top[1:]):
-            best[k + 1] = min(best[k + 1], min(g * best[k] + m for g, m in lines))
+        for k, slope, offset in reversed(_lines_below(loss[inside], less[inside], top[:-1])):
+            bound = slope * best[k + 1] + offset
+            if bound < best[k]:
+                best[k] = bound
+        for k, slope, offset in _lines_below(gain[inside], more[inside], top[1:]):
+            bound = slope * best[k] + offset
+            if bound < best[k + 1]:
+                best[k + 1] = bound
         x[:, first:last] = np.maximum([best[:-1], best[1:]], 0.0)
         possible &= min(best[1:-1], default=1.0) > 0
         possible &= best[0] >= (start or 0.0) * (1 - _SAME) and best[-1] >= (end or 0.0) * (
@@ -261,14 +293,11 @@ def _highest_motion(
 
 def _lines_below(
     slope: np.ndarray, offset: np.ndarray, top: np.ndarray
-) -> list[tuple[int, list[tuple[float, float]]]]:
-    """Return the lines, of R to each of N intervals, that begin below a level, with its number."""
+) -> list[tuple[int, float, float]]:
+    """Return the lines, of R to each of N intervals, that begin below a level: number first."""
     interval, row = np.nonzero(offset < top[:, None])
-    lines = list(zip(slope[interval, row].tolist(), offset[interval, row].tolist(), strict=True))
-    first = np.flatnonzero(np.diff(interval, prepend=-1))
-    ends = np.append(first, len(interval))[1:].tolist()
-    numbers = interval[first].tolist()
-    return [(k, lines[a:b]) for k, a, b in zip(numbers, first.tolist(), ends, strict=True)]
+    lines = interval, slope[interval, row], offset[interval, row]
+    return list(zip(*(values.tolist() for values in lines), strict=True))
 
 
 def _least_times(changes: Changes, cap: np.ndarray, x: np.ndarray, h: np.ndarray) -> np.ndarray:

@@ -19,6 +19,7 @@ from statebook.timescale.rows import MARGIN
 from statebook.timescale.solve import solve
 
 _TANGENT = 1e-6  # part of a velocity that may point off the path
+_ROUNDING = 1e-12  # part of a time by which it may be late and still be that of a pause
 _SLOWEST = -700.0  # logarithm of the smallest part of the fastest motion that is mixed in
 
 
@@ -77,7 +78,8 @@ class Pauses:
     def clock(self, moving: np.ndarray) -> np.ndarray:
         """Return when a time in motion is reached first."""
         over = np.concatenate([[0.0], np.cumsum(self.length)])
-        return np.asarray(moving + over[np.searchsorted(self.begin, moving, side="left")])
+        begin = self.begin * (1 + _ROUNDING)
+        return np.asarray(moving + over[np.searchsorted(begin, moving, side="left")])
 
     def slower(self, factor: float) -> Pauses:
         """Return the pauses of the motion that takes factor times as long, longer themselves."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -53,8 +54,9 @@ class Limit(ABC):
 
     squared = False
     norm = False
+    form = "{kind} of {of} {row}, {side} limit"
 
-    @property
+    @cached_property
     def scale(self) -> np.ndarray:
         """Size of each row's finite bounds, shape (R,); 1 where there is none."""
         bounds = np.abs(np.stack([self.lower, self.upper]))
@@ -98,7 +100,8 @@ class Limit(ABC):
 
     def name(self, row: int, side: str) -> str:
         """Name one bound for a message."""
-        return f"{self.kind} of {'joint' if self.curve is None else 'axis'} {row}, {side} limit"
+        of = "joint" if self.curve is None else "axis"
+        return self.form.format(kind=self.kind, of=of, row=row, side=side)
 
     def values(self, grid: Grid, z: np.ndarray, u: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Return the quantity for given s'' and s'^2, (K, N) each, as (K, N, R)."""
@@ -206,13 +209,11 @@ class AccelerationNormLimit(AccelerationLimit):
     """
 
     norm = True
+    form = "{kind}"
 
     def use(self, grid: Grid, z: np.ndarray, u: np.ndarray, x: np.ndarray) -> np.ndarray:
         size = np.linalg.norm(self.values(grid, z, u, x), axis=2, keepdims=True)
         return np.asarray(size / self.bounds(grid, z)[1])
-
-    def name(self, row: int, side: str) -> str:
-        return self.kind
 
     def follow(
         self, grid: Grid, z: np.ndarray, u: np.ndarray, x: np.ndarray
@@ -232,14 +233,7 @@ class AccelerationNormLimit(AccelerationLimit):
 def polygon(w: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return rows whose largest value is at least |w ŵ + x x̂| cos(pi / (2 SIDES)), x̂ >= 0.
 
-    Parameters
-    ----------
-    w, x : array, shape (..., m)
-        Vectors that belong to the two unknowns; they span a plane.
-
-    Returns
-    -------
-    w, x : array, shape (..., SIDES)
+    Of two vectors (..., m), one for each unknown, to SIDES rows (..., SIDES) of each.
     """
     length = np.linalg.norm(w, axis=-1, keepdims=True)
     direction = np.divide(w, length, out=np.zeros_like(w), where=length > 0)
@@ -279,15 +273,13 @@ class SpeedLimit(Limit):
     """Square of the Euclidean norm of the velocity."""
 
     squared = True
+    form = "{kind}"
 
     def terms(self, grid: Grid, z: np.ndarray, speed: np.ndarray) -> Terms:
         return None, (self.motion(grid, z, 1) ** 2).sum(axis=2, keepdims=True), None
 
     def use(self, grid: Grid, z: np.ndarray, u: np.ndarray, x: np.ndarray) -> np.ndarray:
         return np.sqrt(self.values(grid, z, u, x)) / self.bounds(grid, z)[1]
-
-    def name(self, row: int, side: str) -> str:
-        return self.kind
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,6 +305,7 @@ class TorqueLimit(Limit):
     friction: tuple[bool, bool] = (False, False)
     sliding: bool = True
     lines: Callable[[Grid], tuple[np.ndarray, ...]] | None = None
+    form = "{kind} of row {row}, {side} limit"
 
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"dynamics": None}  # a function of the caller: a lambda, perhaps
@@ -326,19 +319,16 @@ class TorqueLimit(Limit):
         rate = 1 / grid.stretch[:, None]
         return a * rate, b * rate**2, c, k, d * rate
 
-    def actual(self, grid: Grid, z: np.ndarray, u: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """Return the torques that the caller's function gives, (K, N, R)."""
+    def audited_use(self, grid: Grid, z: np.ndarray, u: np.ndarray, x: np.ndarray) -> np.ndarray:
         if self.dynamics is None or not self.sliding:
-            return self.values(grid, z, u, x)
+            return self.use(grid, z, u, x)
         p, p1, p2 = (grid.path(z, i) for i in range(3))
         slope = _one_sided(p1, grid.path(np.array([0.5]), 1)[0]) if any(self.friction) else p1
         u, x = u[:, :, None], x[:, :, None]
         motion = p, slope * np.sqrt(x), p1 * u + p2 * x
         q, v, a = (np.moveaxis(y, -1, 0).reshape(p.shape[2], -1) for y in motion)
-        return np.moveaxis(self.dynamics(q, v, a).reshape(-1, *p.shape[:2]), 0, -1)
-
-    def audited_use(self, grid: Grid, z: np.ndarray, u: np.ndarray, x: np.ndarray) -> np.ndarray:
-        return self.part_used(self.actual(grid, z, u, x), grid, z)
+        values = np.moveaxis(self.dynamics(q, v, a).reshape(-1, *p.shape[:2]), 0, -1)
+        return self.part_used(values, grid, z)
 
     def terms(self, grid: Grid, z: np.ndarray, speed: np.ndarray) -> Terms:
         a, b, c, k, d = self.parts(grid, z)
@@ -360,24 +350,22 @@ class TorqueLimit(Limit):
         u, x = u[:, :, None], x[:, :, None]
         return a * u + b * x + c + (k if self.sliding else 0.0) + d * np.sqrt(x)
 
-    def name(self, row: int, side: str) -> str:
-        return f"{self.kind} of row {row}, {side} limit"
-
 
 def kinematic_limits(
     velocity: Any, acceleration: Any, speed: Any, path: Path, acceleration_norm: Any = None
 ) -> list[Limit]:
     """Read the limits of joints that need no dynamics."""
-    limits: list[Limit] = []
-    for name, value, rows, limit, kind in (
+    every = (
         ("velocity", velocity, path.dof, VelocityLimit, "velocity"),
         ("acceleration", acceleration, path.dof, AccelerationLimit, "acceleration"),
         ("speed", speed, 1, SpeedLimit, "speed"),
         ("acceleration_norm", acceleration_norm, 1, AccelerationNormLimit, "norm of acceleration"),
-    ):
-        if value is not None:
-            limits.append(limit(kind, **read_bounds(name, value, rows, path)._asdict()))
-    return limits
+    )
+    return [
+        limit(kind, **read_bounds(name, value, rows, path)._asdict())
+        for name, value, rows, limit, kind in every
+        if value is not None
+    ]
 
 
 def _one_sided(slope: np.ndarray, middle: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ from statebook.timescale.ends import Pauses, read_dwell, speed_at_end, take
 from statebook.timescale.friction import at_rest, rests, settle
 from statebook.timescale.grid import Grid, lay_grid
 from statebook.timescale.jerk import read_jerk, stop_at_bends
-from statebook.timescale.jerk_program import limit_jerk
+from statebook.timescale.jerk_search import limit_jerk
 from statebook.timescale.limits import Limit, TorqueLimit, kinematic_limits
 from statebook.timescale.path import Path
 from statebook.timescale.profile import Profile, audit
@@ -30,7 +30,7 @@ from statebook.timescale.timed_path import TimedPath
 from statebook.timescale.tool import tool_limits
 from statebook.timescale.torques import torque_limit
 
-_COARSE = 48  # intervals of the first grid
+_COARSE = 96  # intervals of the first grid
 _ENDS = np.array([0.0, 1.0])
 _SMALL = 1e-9  # part of a scale that counts as 0
 _ROUNDING = 1e-12  # of the audit; a motion that it slows down is then inside the limits

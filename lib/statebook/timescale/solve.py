@@ -119,6 +119,7 @@ _SMALLEST = 1000  # intervals: a smaller first grid counts as one of these
 _OVERHEAD = 110  # of an interval, in rows
 _LARGEST_NARROWING = 1e-5  # of controllable sets against rounding
 _RANGE = 1e3  # of s'^2 in an interval, beyond which its smaller end gives the scale
+_NAMED = 400  # intervals on which the place of a refusal is looked for
 _SEARCH = 6000  # intervals of the finest grid on which a first solution is looked for
 
 
@@ -148,7 +149,9 @@ def fastest(limits: Sequence[Limit], grid: Grid, tolerance: float) -> tuple[Prof
                 best = guide
         except StuckError:
             if best is None and (len(grid.h) > _SEARCH or not top.possible):
-                solve(limits, grid, curvature, top.x, every_row=True)  # raises what is to be named
+                fine, parent, *_ = grid.split(np.full(len(grid.h), max(_NAMED // len(grid.h), 1)))
+                flat = np.zeros(len(fine.h))
+                solve(limits, fine, flat, top.x[:, parent], every_row=True)  # raises what is named
                 raise
             x = np.maximum(top.x, 1e-300)
             guide = Profile(grid, x[0], x[1], np.zeros(len(grid.h)), np.stack([0 * x.T, x.T]))

@@ -1,9 +1,8 @@
-"""The (s, s') plane: where the limits leave room for a motion."""
+"""A path with a time for each of its points: what is asked of a timed motion."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -11,58 +10,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from statebook import _validate
+from statebook.timescale.ceiling import maximum_speeds
 from statebook.timescale.ends import Pauses
-from statebook.timescale.grid import Grid
-from statebook.timescale.limits import Limit, polygon
+from statebook.timescale.limits import Limit
 from statebook.timescale.path import Path, horner
 from statebook.timescale.profile import Audit, Profile, audit
 from statebook.timescale.rows import MARGIN
 
 if TYPE_CHECKING:
     from statebook.trajectory import Trajectory
-
-
-def maximum_speeds(grid: Grid, limits: Sequence[Limit], s: np.ndarray) -> np.ndarray:
-    """Return the largest s' for which some s'' satisfies all limits, shape (N,).
-
-    Each limit is a half-plane g u + b x <= c. Two of them with g of opposite sign leave a u only
-    if (b1/g1 + b2/abs(g2)) x <= c1/g1 + c2/abs(g2); the smallest such bound on x counts.
-    """
-    grid = grid.at(s)
-    middle = np.zeros(1)
-    gs, bs, cs = [], [], []
-    for limit in limits:
-        inertial, quadratic, static = limit.terms(grid, middle, np.ones(len(s)))
-        lower, upper = limit.bounds(grid, middle)
-        if limit.norm and inertial is not None:
-            inertial, quadratic = polygon(inertial, quadratic)
-            lower = np.full_like(upper, -np.inf)
-        slope = quadratic[0]
-        if limit.squared:
-            size = limit.scale**2
-            sides = [(1.0, limit.squared_bounds(grid, middle))]
-        else:
-            size = limit.scale
-            shift = np.zeros_like(slope) if static is None else static[0]
-            sides = [(1.0, upper - shift), (-1.0, shift - lower)]
-        for sign, bound in sides:
-            gs.append(np.zeros_like(slope) if inertial is None else sign * inertial[0] / size)
-            bs.append(sign * slope / size)
-            cs.append(np.broadcast_to(bound / size, (1, *slope.shape))[0])
-    g, b, c = (np.concatenate(parts, axis=1) for parts in (gs, bs, cs))
-    highest = np.full(len(s), np.inf)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        flat = np.abs(g) <= 1e-12 * np.abs(g).max(axis=0)
-        direct = np.where(flat & (b > 0), c / b, np.inf)
-        np.minimum(highest, direct.min(axis=1), out=highest)
-        rise, fall = ~flat & (g > 0), ~flat & (g < 0)
-        for k in range(g.shape[1]):
-            pairs = rise[:, k, None] & fall
-            slope = b[:, k, None] / g[:, k, None] + b / -g
-            room = c[:, k, None] / g[:, k, None] + c / -g
-            bound = np.where(pairs & (slope > 0), room / slope, np.inf)
-            np.minimum(highest, bound.min(axis=1), out=highest)
-    return np.asarray(np.sqrt(np.maximum(highest, 0.0)) / grid.stretch)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -248,7 +204,7 @@ class TimedPath:
         """
         s = _validate.real_array("s", s, (None,))
         self.path(s)  # refuses what is not on the path
-        return maximum_speeds(self._profile.grid, self._limits, s)
+        return maximum_speeds(self._limits, self._profile.grid, s)
 
     def audit(self) -> Audit:
         """Return the largest use of every limit over all time, and where it is.
