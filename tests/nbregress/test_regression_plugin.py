@@ -1,6 +1,7 @@
 """The pytest plugin on small notebooks: what must pass, what must fail, and why."""
 
 import importlib.metadata
+import json
 import os
 import subprocess
 import sys
@@ -14,6 +15,10 @@ from nbformat.v4 import new_code_cell, new_notebook, new_output
 from processes import in_process
 
 from nbregress.__main__ import main
+from nbregress.comparison import Comparison
+from nbregress.settings import Settings
+from nbregress.trees import figures_differences
+from nbregress.values import array_digest
 
 SOURCE = Path(__file__).resolve().parents[2] / "lib" / "nbregress" / "src"
 SETUP = """\
@@ -394,3 +399,54 @@ def test_no_kernel_survives(results):
         except OSError:
             pass  # ended meanwhile, or another user's
     assert left == []
+
+
+def printing(text, stored):
+    output = new_output("stream", name="stdout", text=stored)
+    return cell(f"print({text!r})", execution_count=1, outputs=[output])
+
+
+def test_what_cannot_be_written_is_one_line_and_the_old_file_stays(tmp_path, monkeypatch):
+    path = tmp_path / "an ä.ipynb"
+    store(path, [printing("2", "1\n")])
+    before = path.read_bytes()
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "replace", full)
+        done = pytest_here(tmp_path, "--nb-update")
+    assert "cannot be written, and the old file is untouched" in done.stdout
+    assert "Traceback" not in done.stdout and "tempfile" not in done.stdout
+    assert path.read_bytes() == before and list(tmp_path.glob("*")) == [path]
+
+
+def test_another_language_is_said_and_a_path_with_a_space_can_be_pasted(tmp_path, monkeypatch):
+    """A Python kernel that its specification calls R's stands for R's."""
+    folder = tmp_path / "share" / "kernels" / "pretends"
+    folder.mkdir(parents=True)
+    start = [sys.executable, "-m", "ipykernel_launcher", "-f", "{connection_file}"]
+    spec = {"argv": start, "display_name": "R", "language": "R"}
+    (folder / "kernel.json").write_text(json.dumps(spec))
+    monkeypatch.setenv("JUPYTER_PATH", str(tmp_path / "share"))
+    nb = new_notebook(cells=[printing("[1] 3.15", "[1] 3.14\n"), printing("a", "a\n")])
+    nb.metadata["kernelspec"] = {"name": "pretends", "display_name": "R", "language": "R"}
+    nbformat.write(nb, tmp_path / "an r.ipynb")
+    done = pytest_here(tmp_path)
+    assert "1 failed, 1 passed" in done.stdout and "3.15, stored 3.14" in done.stdout
+    assert "data behind texts and pixels: none in language r (2)" in done.stdout
+    assert 'refresh "an r.ipynb"' in done.stdout
+
+
+def test_a_data_frame_s_column_is_named():
+    old, new = (
+        {
+            "type": "DataFrame",
+            "names": ["name", "force"],
+            "columns": [array_digest(["a"]), array_digest([f])],
+        }
+        for f in (1.0, 1.5)
+    )
+    (message,) = figures_differences(old, new, Comparison(Settings()), "data")
+    assert message.startswith("data, columns, float64 1 'force', values")

@@ -12,7 +12,7 @@ from nbval.plugin import IPyNbCell, IPyNbFile, NbCellError
 from nbregress.background import Background, NotebookRun
 from nbregress.comparison import Comparison
 from nbregress.outputs import outputs_differences
-from nbregress.session import CellError, NotebookError, cell_options
+from nbregress.session import CellError, NotebookError, cell_options, notebook_language
 from nbregress.settings import Settings, SettingsError, load_settings
 from nbregress.store import keep_agreeing, normalize, read, write
 from nbregress.textdiff import cut
@@ -88,7 +88,8 @@ class NotebookFile(IPyNbFile):
     @property
     def how_to_accept(self) -> str:
         """The command that accepts what the notebook produces now."""
-        return f"to accept: python -m nbregress refresh {self.shown_path}"
+        mark = '"' if " " in self.shown_path else ""
+        return f"to accept: python -m nbregress refresh {mark}{self.shown_path}{mark}"
 
     def teardown(self) -> None:
         """With --nb-update, store the new outputs of the cells that were asked for."""
@@ -99,7 +100,10 @@ class NotebookFile(IPyNbFile):
         items = {i.index for i in self.session.items if i.parent is self and not i.failed}
         normalize(run.executed)
         changed, _ = keep_agreeing(self.nb, run.executed, self.settings, items)
-        write(run.executed, self.path)
+        try:
+            write(run.executed, self.path)
+        except NotebookError as error:
+            pytest.fail(f"{self.shown_path} {error}", pytrace=False)
         if changed:
             print(f"\n{self.shown_path}: new outputs of {', '.join(changed)} accepted")
 
@@ -223,6 +227,8 @@ class NotebookCell(IPyNbCell):
             return
         comparison = Comparison(settings)
         self.stash[DETAILS] = {"noise": comparison.noise}
+        if (language := notebook_language(self.parent.nb)) != "python":
+            comparison.noise.add(f"data behind texts and pixels: none in language {language}")
         expected = self.options.get("check_exception")
         if run.error is not None and not expected:
             self.raise_cell_error("the cell failed", cut(run.error, 2000) + _printed(new))

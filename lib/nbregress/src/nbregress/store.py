@@ -64,9 +64,8 @@ def _add_ids(nb: Any) -> None:
     ids = {cell.get("id") for cell in nb.cells}
     for index, cell in enumerate(nb.cells):
         if not cell.get("id"):
-            cell["id"] = next(
-                name for k in range(len(ids) + 1) if (name := f"cell-{index + k}") not in ids
-            )
+            names = (f"cell-{index + k}" for k in range(len(ids) + 1))
+            cell["id"] = next(name for name in names if name not in ids)
             ids.add(cell["id"])
 
 
@@ -232,12 +231,8 @@ def keep_agreeing(
         ignored = options.get("check") is False and old.execution_count is not None
         if same or options.get("skip"):
             continue
-        new = not ignored and (
-            lacks_digest(old.outputs, cell.outputs)
-            or bool(
-                outputs_differences(old.outputs, cell.outputs, Comparison(settings.with_tags(cell)))
-            )
-        )
+        comparison, pair = Comparison(settings.with_tags(cell)), (old.outputs, cell.outputs)
+        new = not ignored and (lacks_digest(*pair) or bool(outputs_differences(*pair, comparison)))
         if new and (only is None or index in only):
             changed.append(f"In [{cell.execution_count}]")
             continue

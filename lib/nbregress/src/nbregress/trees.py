@@ -79,6 +79,7 @@ def _walk(
     if type(old) is not type(new):
         yield f"{name}: {short(new)}, stored {short(old)}"
     elif isinstance(old, dict):
+        old, new = _with_named_columns(old), _with_named_columns(new)
         for key in sorted(old.keys() | new.keys(), key=_order):
             if key not in new:
                 yield f"{name}: has no {key}, stored {short(old[key])}"
@@ -120,15 +121,21 @@ def _order(key: str) -> tuple[bool, str]:
     return key not in ("title", "artists"), key
 
 
+def _with_named_columns(table: dict[str, Any]) -> dict[str, Any]:
+    """A data frame whose columns carry their names, for the messages; anything else as it is."""
+    pairs = zip(table.get("columns", ()), table.get("names", ()), strict=False)
+    named = [{"label": name, **c} for c, name in pairs if isinstance(c, dict)]
+    return {**table, "columns": named} if named else table
+
+
 def _names(items: list[Any]) -> list[str]:
     names: list[str] = []
     counts: dict[str, int] = {}
     for item in items:
-        kind = (
-            str(item.get("kind", item.get("dtype", "axes"))) if isinstance(item, dict) else "entry"
-        )
+        known = item if isinstance(item, dict) else {"kind": "entry"}
+        kind = str(known.get("kind", known.get("dtype", "axes")))
         counts[kind] = counts.get(kind, 0) + 1
-        label = isinstance(item, dict) and (item.get("label") or item.get("title"))
+        label = known.get("label") or known.get("title")
         names.append(f"{kind} {counts[kind]}" + (f" {label!r}" if label else ""))
     return names
 

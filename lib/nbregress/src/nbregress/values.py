@@ -75,19 +75,12 @@ def _digest(value: Any, depth: int) -> dict[str, Any] | None:
             "index": _column(frame.index),
             "columns": [_column(column) for column in columns],
         }
-    if kind == "Dataset":
-        return {
-            "type": kind,
-            **{str(k): array_digest(v.values) for k, v in value.variables.items()},
-        }
-    if kind == "DataArray":
-        coords = {str(k): array_digest(v.values) for k, v in value.coords.items()}
-        return {
-            "type": kind,
-            "dims": list(map(str, value.dims)),
-            **coords,
-            **array_digest(value.values),
-        }
+    if kind in ("Dataset", "DataArray"):
+        parts = value.variables if kind == "Dataset" else value.coords
+        digest = {"type": kind, **{str(k): array_digest(v.values) for k, v in parts.items()}}
+        if kind == "Dataset":
+            return digest
+        return digest | {"dims": list(map(str, value.dims)), **array_digest(value.values)}
     result = {"type": kind, "dt": repr(value.dt) if hasattr(value, "dt") else None}
     for name in ("A", "B", "C", "D", "omega", "frdata"):
         if hasattr(value, name):
