@@ -103,7 +103,8 @@ class NotebookFile(IPyNbFile):
         try:
             write(run.executed, self.path)
         except NotebookError as error:
-            pytest.fail(f"{self.shown_path} {error}", pytrace=False)
+            message = f"{self.shown_path} {error}"
+            raise pytest.fail.Exception(message, pytrace=False) from None
         if changed:
             print(f"\n{self.shown_path}: new outputs of {', '.join(changed)} accepted")
 
