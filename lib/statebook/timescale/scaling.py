@@ -265,8 +265,12 @@ def _check_place(grid: Grid, limits: Sequence[Limit], s: float, cause: str, spee
 def _within_limits(limits: Sequence[Limit], profile: Profile) -> Profile:
     """Audit the profile; slow it down by the rounding that is left, leave more room for torques."""
     if not any(isinstance(limit, TorqueLimit) for limit in limits):
-        factor = max(use.factor for use in audit(profile, limits))
-        return profile.slower(factor * (1 + _ROUNDING)) if factor > 1 else profile
+        for attempt in range(PASSES):  # on very short intervals the rounding is another each time
+            factor = max(use.factor for use in audit(profile, limits))
+            if factor <= 1:
+                break
+            profile = profile.slower(factor * (1 + _ROUNDING * 10**attempt))
+        return profile
     for attempt in range(PASSES):
         excess = audit(profile, limits).worst.use - 1
         if excess <= MARGIN:
