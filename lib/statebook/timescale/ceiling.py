@@ -145,11 +145,11 @@ def _changes_and_caps(limits: Sequence[Limit], grid: Grid) -> tuple[Changes, np.
     # The same for x at one end and at the other, in the place of x and u.
     m0, m1 = every.m[0], every.m[-1]
     low, high = (
-        np.where(every.turn, v, ends[-1])
-        for v, ends in ((-np.inf, every.low), (np.inf, every.high))
+        np.where(every.turn, v, side[-1])
+        for v, side in ((-np.inf, every.low), (np.inf, every.high))
     )
-    both = [a, [m1, -m0]], [b, [-m0, m1]], [lower, [low, low]], [upper, [high, high]]
-    found = _highest(*(np.concatenate(values) for values in both))
+    ends = [(a, m1, -m0), (b, -m0, m1), (lower, low, low), (upper, high, high)]
+    found = _highest(*(np.concatenate([v, [left, right]]) for v, left, right in ends))
     cap[[0, -1]] = np.minimum(cap[[0, -1]], np.minimum(found[:2], found[2:]))
     return every, cap
 

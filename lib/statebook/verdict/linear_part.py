@@ -75,8 +75,10 @@ def linear_part(
         As `stability` does.
     """
     if hasattr(system_or_A, "tolist") or isinstance(system_or_A, list | tuple | str | Number):
-        if x0 is not None or u0 is not None or t is not None:
-            raise ValueError("x0, u0 and t belong to a nonlinear system; a matrix takes none")
+        if x0 is not None or u0 is not None:
+            raise ValueError("x0 and u0 belong to a nonlinear system; a matrix takes neither")
+        if t is not None:
+            raise ValueError("t belongs to a system that depends on the time; a matrix takes none")
         rational = as_rational(system_or_A)
         A = _as_floats(system_or_A) if rational is None else rational.floats()
         states = tuple(f"x[{i}]" for i in range(len(A)))
