@@ -4,7 +4,7 @@ import control
 import numpy as np
 import pytest
 import scipy
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import statebook as sb
@@ -302,6 +302,7 @@ def test_empty_system_is_stable_vacuously():
     st.sampled_from([-0.01, 0.0, 0.01]),
     st.integers(0, 10_000),
 )
+@example([-1.3542086695180349, -1.0], 0.0, 582)
 @settings(max_examples=60, deadline=None)
 def test_random_similarity_keeps_the_verdict(inside, worst, seed):
     values = np.array([*inside, worst])

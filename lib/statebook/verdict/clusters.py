@@ -252,7 +252,7 @@ def _moved(group: Group, size: np.ndarray) -> float:
 def _blur(block: Block, group: Group, discrete: bool) -> float:
     """What rounding does to the mean of a group as a rule, errors being random."""
     moved = min(_moved(group, block.size), block.norm * spectral_norm(group.dual))
-    return rounding(max(moved, 1.0) if discrete else moved, len(block.T), block.precision) / 2
+    return rounding(max(moved, 1.0) if discrete else moved, len(block.T), block.precision)
 
 
 def shared_jordan_points(
