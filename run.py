@@ -1,16 +1,19 @@
 #!/usr/bin/env python3
 """Make .venv, install statebook and nbregress and do one job, the same on Linux, macOS and Windows.
 
-    python3 run.py book                     execute every chapter, build the site in _build/html
+    python3 run.py book                     execute what changed, build the site in _build/html;
+                                            --all: everything; --pdf: the core path on paper
     python3 run.py test [pytest options]    run every test
     python3 run.py test --matrix            test the chapters on every Python that is here
-    python3 run.py lab                      open JupyterLab in workbook/
+    python3 run.py lab [FOLDER]             open JupyterLab on a copy of your own, or in a folder
     python3 run.py refresh [chapter files]  execute committed chapters again, in place
+    python3 run.py slides [NN ...]          make the slides of chapters
     python3 run.py students DIR             write the hand-out, without solutions
 
 Standard library only, in syntax that older Pythons parse, so that they can be turned away.
 """
 
+import contextlib
 import hashlib
 import json
 import os
@@ -31,7 +34,7 @@ WORKERS = str(min(4, os.cpu_count() or 1))
 
 # What pip prints, and the sentence that tells a reader what to do about it.
 PIP_TROUBLES = [
-    (r"No space left|Errno 28", "the disk is full; .venv takes about 1 GB"),
+    (r"No space left|Errno 28", "the disk is full; .venv and _build take about 1 GB"),
     (
         r"name resolution|getaddrinfo|NewConnectionError|Timeout|Max retries|ProxyError|SSLError",
         "pip cannot reach the package index; check the network and the proxy and run this again",
@@ -94,6 +97,13 @@ def ensure_environment():
     usable = venv_python().exists() and found[:2] == wanted[:2]
     if usable and found == wanted:
         return
+    with one_at_a_time("install"):
+        install(usable, stamp)
+        stamp.write_text("\n".join(wanted), encoding="utf-8")
+
+
+def install(usable, stamp):
+    """Install everything, into a new environment unless this one is usable."""
     if usable:
         stamp.unlink()
     else:
@@ -109,7 +119,6 @@ def ensure_environment():
             "toppra cannot be installed, and statebook goes on without it: it has wheels for "
             "Linux x86_64 only and needs a C compiler elsewhere (%s)" % explain(log)
         )
-    stamp.write_text("\n".join(wanted), encoding="utf-8")
 
 
 def make_venv():
@@ -206,9 +215,10 @@ def watch(arguments, log_file, status):
         process.kill()
 
 
-def run(arguments, cwd=ROOT):
+def run(arguments, cwd=ROOT, output=None):
     """Run .venv's Python in the foreground and return its exit code."""
-    process = subprocess.Popen([str(venv_python()), *arguments], cwd=str(cwd), env=environment())
+    command = [str(venv_python()), *arguments]
+    process = subprocess.Popen(command, cwd=str(cwd), env=environment(), stdout=output)
     while True:
         try:
             return process.wait()
@@ -237,39 +247,55 @@ def notebooks(pattern):
     return [name for name in names if name not in left_out], left_out
 
 
-def book(arguments):
-    """Execute the chapters into _build and build the site from them.
+@contextlib.contextmanager
+def one_at_a_time(job):
+    """Hold a lock on the job, which the system frees however this process ends."""
+    BUILD.mkdir(exist_ok=True)
+    with (BUILD / (job + ".lock")).open("a") as file:
+        try:
+            if os.name == "nt":
+                import msvcrt
 
-    Chapters that cannot run here appear with their committed outputs.
-    """
-    source, html = BUILD / "source", BUILD / "html"
-    for folder in (source, html):
-        shutil.rmtree(str(folder), ignore_errors=True)
-    shutil.copytree(str(ROOT / "book"), str(source))
-    files, left_out = notebooks(CHAPTERS)
-    for folder in sorted({str(Path(name).parent) for name in files}):
-        target = source / "chapters" / Path(folder).relative_to("workbook")
-        options = ["--jobs", WORKERS, "--output-dir", str(target)]
-        here = [name for name in files if str(Path(name).parent) == folder]
-        command = ["-m", "nbregress", "execute", *options, *here]
-        code, log = watch(command, BUILD / "execute.log", bar("executing " + folder))
-        if code:
-            lines = [line for line in log.splitlines() if "FAILED" in line] or log.splitlines()[-9:]
-            fail("a chapter failed, so no site was built\n" + "\n".join(lines))
-    for name in left_out:
-        target = source / "chapters" / Path(name).relative_to("workbook")
-        target.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(str(ROOT / name), str(target))
-    command = ["-m", "sphinx", "-d", str(BUILD / "doctrees"), *arguments, str(source), str(html)]
-    code, log = watch(command, BUILD / "sphinx.log", bar("building"))
+                msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+            else:
+                import fcntl
+
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            fail("another run.py is busy with this (%s); wait until it ends" % job)
+        yield
+
+
+def book(arguments):
+    """Execute what changed and build the site; notebooks that cannot run are shown as committed."""
+    with one_at_a_time("book"):
+        left_out = notebooks(CHAPTERS)[1]
+        skip = ["--skip", *left_out] if left_out else []
+        command = ["book/build.py", "--jobs", WORKERS, *arguments, *skip]
+        code, log = watch(command, BUILD / "book.log", bar("building"))
     if code:
-        fail("the site was not built\n" + "\n".join(log.strip().splitlines()[-9:]))
-    print("open " + (html / "index.html").as_uri())
+        lines = log.strip().splitlines()
+        failed = [line for line in lines if "FAILED" in line]
+        full = [sentence for pattern, sentence in PIP_TROUBLES[:1] if re.search(pattern, log)]
+        fail("no new site was built, the old one stays\n" + "\n".join(full or failed or lines[-9:]))
+    print("open " + (BUILD / "html" / "index.html").as_uri())
+    if "--pdf" in arguments:
+        print(log.strip().splitlines()[-1])
     return 0
+
+
+def browser_tools():
+    """Install what drives a browser, where there is one; without it those tests are skipped."""
+    code = "from paper import find_chromium as f; import importlib.util as i; " + (
+        "raise SystemExit(0 if f() and not i.find_spec('playwright') else 1)"
+    )
+    if subprocess.call([str(venv_python()), "-c", code], cwd=str(ROOT / "book")) == 0:
+        pip(["--editable", str(ROOT) + "[browser]"], "installing the driver of a browser")
 
 
 def test(arguments):
     """Run every test; arguments go to pytest."""
+    browser_tools()
     options = ["-n", WORKERS, "--dist", "loadfile", "--nb"]
     ignored = ["--ignore=" + name for name in notebooks("**/*.ipynb")[1]]
     return run(["-m", "pytest", *options, *ignored, *arguments])
@@ -281,14 +307,35 @@ def matrix(arguments):
 
 
 def lab(arguments):
-    """Open JupyterLab in workbook/."""
-    return run(["-m", "jupyterlab", *arguments], cwd=ROOT / "workbook")
+    """Open JupyterLab on chapter 00 of a copy that is the reader's own; a folder opens itself.
+
+    The copy, mine/, is the hand-out: exercises have no solutions. It is made once and kept.
+    """
+    folder = ROOT / "mine"
+    if arguments and (ROOT / arguments[0]).is_dir():
+        folder = (ROOT / arguments[0]).resolve()
+        arguments = arguments[1:]
+    elif not folder.exists():
+        code = run(["-m", "statebook.grading.students", str(folder)])
+        if code:
+            return code
+        trusted = [str(path) for path in sorted(folder.rglob("*.ipynb"))]
+        run(["-m", "nbformat.sign", *trusted], output=subprocess.DEVNULL)  # players may play
+    first = [name for name in ["00_start_here.ipynb"] if (folder / name).is_file()]
+    if hasattr(os, "geteuid") and os.geteuid() == 0:
+        arguments = ["--allow-root", *arguments]  # as in a container, where root is the only user
+    return run(["-m", "jupyterlab", *first, *arguments], cwd=folder)
 
 
 def refresh(arguments):
     """Execute committed chapters again, in place."""
     files = [str(Path(name).resolve()) for name in arguments] or notebooks(CHAPTERS)[0]
     return run(["-m", "nbregress", "refresh", "--jobs", WORKERS, *files])
+
+
+def slides(arguments):
+    """Make the slide decks of chapters, by their numbers, in _build/slides."""
+    return run(["book/slides.py", *arguments])
 
 
 def students(arguments):
@@ -301,9 +348,13 @@ def students(arguments):
 
 def main(arguments):
     """Do the job that the first argument names and return the exit code."""
-    jobs = {"book": book, "test": test, "lab": lab, "refresh": refresh, "students": students}
-    if not arguments or arguments[0] not in jobs:
+    listed = (book, test, lab, refresh, slides, students)
+    jobs = {job.__name__: job for job in listed}
+    if not arguments:
         print(__doc__)
+        return 2
+    if arguments[0] not in jobs:
+        print("run.py: there is no job %r; there are %s" % (arguments[0], ", ".join(jobs)))
         return 2
     check_python()
     try:
@@ -314,6 +365,7 @@ def main(arguments):
     except OSError as error:
         fail("%s: %s" % (error.filename or "the system says", error.strerror or error))
     except KeyboardInterrupt:
+        print()  # the message stands on a line of its own, after what a job has drawn
         fail("interrupted; run the same command again")
 
 

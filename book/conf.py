@@ -1,23 +1,32 @@
 """The site: Sphinx and MyST-NB over freshly executed chapters; nothing is fetched, ever."""
 
-import json
-import re
-from importlib import import_module
+import sys
+from importlib.metadata import version as installed
 from importlib.resources import files
 from pathlib import Path
 
-import statebook
-
 HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE))  # this folder is a copy, made by `run.py book`
+
+import pages  # noqa: E402
 
 project = "statebook"
 author = "the statebook developers"
-copyright = "the statebook developers, Apache-2.0"
-html_title = "statebook"
+copyright = "the statebook developers; text and figures CC BY 4.0, code Apache-2.0"
+release = installed("statebook")
+html_title = f"statebook {release}"
+html_last_updated_fmt = "%Y-%m-%d"
 language = "en"
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax"]
-exclude_patterns = ["**/.ipynb_checkpoints"]
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.mathjax",
+    "sphinx.ext.viewcode",
+    "sphinx_copybutton",
+]
+exclude_patterns = ["**/.ipynb_checkpoints", "README.md"]
 
 # Chapters arrive executed: `run.py book` puts them into chapters/ beside a copy of this file.
 nb_execution_mode = "off"
@@ -30,7 +39,7 @@ suppress_warnings = [
 ]
 # python-control represents systems in Markdown, with mathematics: prefer it to plain text.
 nb_mime_priority_overrides = [("html", "text/markdown", 25)]
-myst_enable_extensions = ["amsmath", "dollarmath", "deflist", "substitution"]
+myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath", "substitution"]
 myst_dmath_double_inline = True
 myst_heading_anchors = 3
 
@@ -42,9 +51,9 @@ nb_ipywidgets_js = {}
 
 html_theme = "furo"
 html_css_files = ["statebook.css"]
+html_js_files = ["statebook.js"]
 html_copy_source = False
-# Summaries of search results are fetched, which browsers refuse for file:// addresses.
-html_show_search_summary = False
+copybutton_exclude = ".linenos, .gp, .go"
 html_theme_options = {
     f"{mode}_css_variables": dict.fromkeys(
         ("color-brand-primary", "color-brand-content", "color-api-name", "color-api-pre-name"),
@@ -56,52 +65,14 @@ html_theme_options = {
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"
 autodoc_default_options = {"members": True}
-add_module_names = False
+add_module_names = True  # as sb.NAME, see pages.py
 napoleon_google_docstring = False
 napoleon_use_ivar = True
 napoleon_use_param = False
 napoleon_use_rtype = False
 
-
-def opening(notebook):
-    """Return a chapter's title and the question under it."""
-    cells = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
-    text = "\n\n".join("".join(c["source"]) for c in cells[:3] if c["cell_type"] == "markdown")
-    paragraphs = [" ".join(p.split()) for p in re.split(r"\n\s*\n", text) if p.strip()]
-    titles = [p.lstrip("# ") for p in paragraphs if p.startswith("# ")]
-    prose = [p for p in paragraphs if not p.startswith(("#", "-", "|", "`"))]
-    question = re.sub(r"^\W*the question\W*", "", (prose or [""])[0], flags=re.IGNORECASE)
-    return (titles or [notebook.stem])[0], question[:1].upper() + question[1:]
+myst_substitutions = pages.write_all(HERE)
 
 
-def chapter_list():
-    """Return the front page's list of chapters, in Markdown."""
-    rows = []
-    for notebook in sorted(HERE.glob("chapters/*.ipynb")):
-        title, question = opening(notebook)
-        rows.append(f"[{title}](chapters/{notebook.name})\n: {question}\n")
-    return "\n".join(rows)
-
-
-def write_reference():
-    """Write a page for every public module; return their list in Markdown."""
-    folder = HERE / "reference"
-    folder.mkdir(exist_ok=True)
-    stub = Path(statebook.__file__).with_suffix(".pyi").read_text(encoding="utf-8")
-    homes = {}  # of each room its public names, as the stub beside the package tells them
-    for room, name in re.findall(r"^from \.(\S*) import (\w+) as", stub, re.MULTILINE):
-        package = room.partition(".")[0] if room else name
-        whole = package in ("controllers", "plotting")
-        homes.setdefault(package if whole else room, []).extend([] if whole else [name])
-    rows = []
-    for name, members in sorted(homes.items()):
-        module = import_module(f"statebook.{name}")
-        chosen = f"\n   :members: {', '.join(members)}" if members else ""
-        text = f"# {name}\n\n```{{eval-rst}}\n.. automodule:: {module.__name__}{chosen}\n```\n"
-        (folder / f"{name}.md").write_text(text, encoding="utf-8")
-        rows.append(f"[{name}](reference/{name}.md)\n: {module.__doc__.splitlines()[0]}\n")
-    return "\n".join(rows)
-
-
-# This folder is a copy made by `run.py book`: what is written here does not touch the sources.
-myst_substitutions = {"chapters": chapter_list(), "modules": write_reference()}
+def setup(app):
+    pages.connect(app)

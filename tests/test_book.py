@@ -35,6 +35,7 @@ def site(tmp_path_factory):
     folder = tmp_path_factory.mktemp("book")
     source = folder / "source"
     shutil.copytree(ROOT / "book", source)
+    shutil.copy(WORKBOOK / "inventory.toml", source)
     for notebook in NOTEBOOKS:
         place = source / "chapters" / notebook.relative_to(WORKBOOK)
         place.parent.mkdir(parents=True, exist_ok=True)

@@ -56,6 +56,7 @@ def run(tmp_path, monkeypatch):
         module.calls.append(packages)
         return module.codes.get(doing, 0), "ERROR: no compiler"
 
+    monkeypatch.setattr(module, "browser_tools", lambda: None)
     monkeypatch.setattr(module, "make_venv", make_venv)
     monkeypatch.setattr(module, "pip", pip)
     return module
@@ -131,6 +132,7 @@ def test_moved_folder_or_other_python_makes_a_new_venv(run, monkeypatch):
     run.ROOT.rename(moved)
     monkeypatch.setattr(run, "ROOT", moved)
     monkeypatch.setattr(run, "VENV", moved / ".venv")
+    monkeypatch.setattr(run, "BUILD", moved / "_build")
     run.ensure_environment()
     assert run.calls[0] == "venv"
 
@@ -273,55 +275,74 @@ def test_environment_keeps_figures_and_one_thread(run, monkeypatch):
     assert (env["OMP_NUM_THREADS"], env["OPENBLAS_NUM_THREADS"]) == ("3", "1")
 
 
-def test_failing_chapter_is_named_and_no_site_is_built(run, monkeypatch):
-    (run.ROOT / "book").mkdir()
-    notebook(run.ROOT / "workbook" / "01_b.ipynb", "wrong")
-    failed = "[2/2] workbook/01_b.ipynb 1.0 s: FAILED In [3] (cell 5 of 9): ValueError: wrong"
-    monkeypatch.setattr(
-        run, "watch", lambda *_: (1, f"[1/2] workbook/00_a.ipynb 1 s: executed\n{failed}\n")
-    )
+def test_failing_notebook_is_named_and_the_old_site_stays(run, monkeypatch):
+    (run.BUILD / "html").mkdir(parents=True)
+    failed = "[2/2] workbook/01_b.ipynb FAILED In [3] (cell 5 of 9): ValueError: wrong"
+    log = f"[1/2] workbook/00_a.ipynb 1 s: executed\n{failed}\na notebook failed"
+    monkeypatch.setattr(run, "watch", lambda *_: (1, log))
     with pytest.raises(SystemExit) as stop:
         run.book([])
     assert str(stop.value).splitlines() == [
-        "run.py: a chapter failed, so no site was built",
+        "run.py: no new site was built, the old one stays",
         failed,
     ]
-    assert not (run.BUILD / "html").exists()
+    assert (run.BUILD / "html").exists()
 
 
-def test_chapter_that_cannot_run_appears_as_committed(run, monkeypatch):
-    (run.ROOT / "book").mkdir()
+def test_full_disk_is_one_sentence(run, monkeypatch):
+    log = "Traceback ...\nOSError: [Errno 28] No space left on device"
+    monkeypatch.setattr(run, "watch", lambda *_: (1, log))
+    with pytest.raises(SystemExit) as stop:
+        run.book([])
+    assert str(stop.value).splitlines()[1:] == [
+        "the disk is full; .venv and _build take about 1 GB"
+    ]
+
+
+def test_chapters_that_cannot_run_are_skipped_by_the_build(run, monkeypatch):
     notebook(run.ROOT / "workbook" / "15_by_hand.ipynb", "1 + 1")
     notebook(run.ROOT / "workbook" / "16_optimal.ipynb", "sb.time_scale(path)")
     commands = []
-
-    def watch(command, log_file, status):
-        commands.append(command)
-        (run.BUILD / "source" / "chapters").mkdir(exist_ok=True)
-        return 0, ""
-
-    monkeypatch.setattr(run, "watch", watch)
-    assert run.book([]) == 0
-    assert commands[0][-1] == "workbook/15_by_hand.ipynb"
-    shown = run.BUILD / "source" / "chapters"
-    assert [path.name for path in shown.iterdir()] == ["16_optimal.ipynb"]
-
-
-def test_each_folder_of_notebooks_keeps_its_place_on_the_site(run, monkeypatch):
-    (run.ROOT / "book").mkdir()
-    for place in ("15_a", "deeper/15_a", "exercises/15_a"):
-        notebook(run.ROOT / "workbook" / f"{place}.ipynb", "1 + 1")
-    commands = []
     monkeypatch.setattr(run, "watch", lambda command, *_: (commands.append(command), (0, ""))[1])
-    assert run.book([]) == 0
-    chapters = run.BUILD / "source" / "chapters"
-    places = [
-        (command[command.index("--output-dir") + 1], command[-1]) for command in commands[:-1]
-    ]
-    assert places == [
-        (str(chapters / folder), f"workbook/{folder}15_a.ipynb")
-        for folder in ("", "deeper/", "exercises/")
-    ]
+    assert run.book(["--all"]) == 0
+    assert commands[0][0] == "book/build.py"
+    assert commands[0][-3:] == ["--all", "--skip", "workbook/16_optimal.ipynb"]
+
+
+def test_two_runs_of_one_job_do_not_meet(run):
+    with run.one_at_a_time("book"):
+        with pytest.raises(SystemExit, match=r"another run\.py is busy with this \(book\)"):
+            run.book([])
+    with run.one_at_a_time("book"):
+        pass  # free again
+
+
+def test_lab_opens_a_copy_that_is_made_once(run, monkeypatch):
+    calls = []
+
+    def noted(arguments, cwd=None, output=None):
+        calls.append((arguments, cwd))
+        if "statebook.grading.students" in arguments:
+            notebook(Path(arguments[-1]) / "00_start_here.ipynb", "1")
+        return 0
+
+    monkeypatch.setattr(run, "run", noted)
+    monkeypatch.setattr(run.os, "geteuid", lambda: 0, raising=False)
+    mine = run.ROOT / "mine"
+    for _ in range(2):
+        assert run.main(["lab", "--no-browser"]) == 0
+    made = [arguments for arguments, _ in calls if "statebook.grading.students" in arguments]
+    assert made == [["-m", "statebook.grading.students", str(mine)]]
+    wanted = ["-m", "jupyterlab", "00_start_here.ipynb", "--allow-root", "--no-browser"]
+    assert calls[-1] == (wanted, mine)
+    (run.ROOT / "workbook").mkdir()
+    run.main(["lab", "workbook"])
+    assert calls[-1] == (["-m", "jupyterlab", "--allow-root"], run.ROOT / "workbook")
+
+
+def test_an_unknown_job_is_told_the_jobs(run, capsys):
+    assert run.main(["bogus"]) == 2
+    assert "no job 'bogus'; there are book, test, lab" in capsys.readouterr().out
 
 
 def test_students_takes_one_folder(run, monkeypatch, tmp_path):

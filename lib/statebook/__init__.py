@@ -15,7 +15,7 @@ from typing import Any
 
 import lazy_loader
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # The stub beside this file says where each name is defined: to editors, type checkers and here.
 _load, _, _names = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,13 @@
+# docker build -t statebook . && docker run --rm -p 127.0.0.1:8888:8888 statebook
+FROM python:3.12-slim
+RUN useradd --create-home reader
+USER reader
+WORKDIR /home/reader/statebook
+ENV PATH=/home/reader/.local/bin:$PATH OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
+COPY --chown=reader requirements.txt .
+RUN pip install --user --no-cache-dir --requirement requirements.txt
+COPY --chown=reader . .
+RUN pip install --user --no-cache-dir --editable . --editable lib/nbregress \
+    && python -m statebook.grading.students mine
+EXPOSE 8888
+CMD ["jupyter", "lab", "--ip=0.0.0.0", "--no-browser", "mine/00_start_here.ipynb"]
