@@ -4,8 +4,9 @@
     python3 run.py book                     execute every chapter, build the site in _build/html
     python3 run.py test [pytest options]    run every test
     python3 run.py test --matrix            test the chapters on every Python that is here
-    python3 run.py lab                      open JupyterLab in workbook/
+    python3 run.py lab [notebooks]          open JupyterLab in workbook/, or on notebooks
     python3 run.py refresh [chapter files]  execute committed chapters again, in place
+    python3 run.py new NAME                 write analyses/NAME.ipynb, to analyse a model of yours
     python3 run.py students DIR             write the hand-out, without solutions
 
 Standard library only, in syntax that older Pythons parse, so that they can be turned away.
@@ -281,14 +282,25 @@ def matrix(arguments):
 
 
 def lab(arguments):
-    """Open JupyterLab in workbook/."""
-    return run(["-m", "jupyterlab", *arguments], cwd=ROOT / "workbook")
+    """Open JupyterLab in workbook/, or on the notebooks that are named."""
+    return run(["-m", "jupyterlab", *arguments], cwd=ROOT if arguments else ROOT / "workbook")
 
 
 def refresh(arguments):
     """Execute committed chapters again, in place."""
     files = [str(Path(name).resolve()) for name in arguments] or notebooks(CHAPTERS)[0]
     return run(["-m", "nbregress", "refresh", "--jobs", WORKERS, *files])
+
+
+def new(arguments):
+    """Write an analysis notebook for a model of the reader's own."""
+    code = run(["-m", "statebook", "new", *arguments])
+    if code == 0:
+        file = "analyses/%s.ipynb" % re.sub(r"\.ipynb$", "", arguments[0])
+        jobs = ("lab %s" % file, "refresh %s" % file, "test analyses")
+        print("to edit it, store its outputs, and compare them with what was stored:")
+        print("\n".join("    python3 run.py " + job for job in jobs))
+    return code
 
 
 def students(arguments):
@@ -301,7 +313,7 @@ def students(arguments):
 
 def main(arguments):
     """Do the job that the first argument names and return the exit code."""
-    jobs = {"book": book, "test": test, "lab": lab, "refresh": refresh, "students": students}
+    jobs = {f.__name__: f for f in (book, test, lab, refresh, new, students)}
     if not arguments or arguments[0] not in jobs:
         print(__doc__)
         return 2
