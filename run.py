@@ -5,8 +5,9 @@
                                             --all: everything; --pdf: the core path on paper
     python3 run.py test [pytest options]    run every test
     python3 run.py test --matrix            test the chapters on every Python that is here
-    python3 run.py lab [FOLDER]             open JupyterLab on a copy of your own, or in a folder
+    python3 run.py lab [FOLDER or FILE]     open JupyterLab on a copy of your own, or on what is named
     python3 run.py refresh [chapter files]  execute committed chapters again, in place
+    python3 run.py new NAME                 write analyses/NAME.ipynb, to analyse a model of yours
     python3 run.py slides [NN ...]          make the slides of chapters
     python3 run.py students DIR             write the hand-out, without solutions
 
@@ -307,24 +308,25 @@ def matrix(arguments):
 
 
 def lab(arguments):
-    """Open JupyterLab on chapter 00 of a copy that is the reader's own; a folder opens itself.
+    """Open JupyterLab on chapter 00 of a copy that is the reader's own, or on what is named.
 
     The copy, mine/, is the hand-out: exercises have no solutions. It is made once and kept.
     """
-    folder = ROOT / "mine"
-    if arguments and (ROOT / arguments[0]).is_dir():
-        folder = (ROOT / arguments[0]).resolve()
-        arguments = arguments[1:]
-    elif not folder.exists():
-        code = run(["-m", "statebook.grading.students", str(folder)])
-        if code:
-            return code
-        trusted = [str(path) for path in sorted(folder.rglob("*.ipynb"))]
-        run(["-m", "nbformat.sign", *trusted], output=subprocess.DEVNULL)  # players may play
-    first = [name for name in ["00_start_here.ipynb"] if (folder / name).is_file()]
+    mine = ROOT / "mine"
+    if not arguments or not (ROOT / arguments[0]).exists():
+        if not mine.exists():
+            code = run(["-m", "statebook.grading.students", str(mine)])
+            if code:
+                return code
+            trusted = [str(path) for path in sorted(mine.rglob("*.ipynb"))]
+            run(["-m", "nbformat.sign", *trusted], output=subprocess.DEVNULL)  # players may play
+        arguments = ["mine/00_start_here.ipynb", *arguments]
+    named = ROOT / arguments[0]
+    folder = named if named.is_dir() else named.parent
+    first = [] if named.is_dir() else [named.name]
     if hasattr(os, "geteuid") and os.geteuid() == 0:
-        arguments = ["--allow-root", *arguments]  # as in a container, where root is the only user
-    return run(["-m", "jupyterlab", *first, *arguments], cwd=folder)
+        first.append("--allow-root")  # as in a container, where root is the only user
+    return run(["-m", "jupyterlab", *first, *arguments[1:]], cwd=folder)
 
 
 def refresh(arguments):
@@ -338,6 +340,17 @@ def slides(arguments):
     return run(["book/slides.py", *arguments])
 
 
+def new(arguments):
+    """Write an analysis notebook for a model of the reader's own."""
+    code = run(["-m", "statebook", "new", *arguments])
+    if code == 0:
+        file = "analyses/%s.ipynb" % re.sub(r"\.ipynb$", "", arguments[0])
+        jobs = ("lab %s" % file, "refresh %s" % file, "test analyses")
+        print("to edit it, store its outputs, and compare them with what was stored:")
+        print("\n".join("    python3 run.py " + job for job in jobs))
+    return code
+
+
 def students(arguments):
     """Write chapters and exercises, without their solutions, into a new folder."""
     if len(arguments) != 1:
@@ -348,8 +361,7 @@ def students(arguments):
 
 def main(arguments):
     """Do the job that the first argument names and return the exit code."""
-    listed = (book, test, lab, refresh, slides, students)
-    jobs = {job.__name__: job for job in listed}
+    jobs = {f.__name__: f for f in (book, test, lab, refresh, new, slides, students)}
     if not arguments:
         print(__doc__)
         return 2
