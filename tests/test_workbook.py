@@ -23,6 +23,7 @@ from ledger import (
     read_notebook,
     unprinted,
 )
+from pattern import BUDGETS, departures, kind_of, measures
 from statebook.checking import Claim
 
 LEDGER = read_ledger()
@@ -45,6 +46,16 @@ def test_chapter_covers_its_rows(path):
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: "/".join(path.parts[-2:]))
 def test_notebook_is_cleanly_executed(path):
     assert not faults(read_notebook(path))
+
+
+OLD = {f"{n:02d}" for n in (*range(7), *range(8, 18), 90)}  # not yet after the pattern
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: "/".join(path.parts[-2:]))
+def test_notebook_is_after_the_pattern(path):
+    if path.stem[:2] in OLD and path.parent.name == "workbook":
+        pytest.skip("an old chapter")
+    assert not departures(read_notebook(path), kind_of(path))
 
 
 with_errata = [
@@ -183,6 +194,72 @@ def test_expected_error_is_no_fault():
     wanted = code("1 / 0", tags=["raises-exception"])
     wanted["outputs"] = [{"output_type": "error"}]
     assert faults(notebook(wanted, code("sb.summary()", 2))) == []
+
+
+# ---- and so must the pattern ----
+
+
+def figure(count, alt="what is seen", **data):
+    meta = {"mystnb": {"image": {"alt": alt}}} if alt else {}
+    output = {"output_type": "display_data", "data": {"image/png": "...", **data}}
+    return code("plt.show()", count, **meta) | {"outputs": [output]}
+
+
+def text(source):
+    return {"cell_type": "markdown", "source": source, "metadata": {}}
+
+
+TOP = text(
+    "# 00. A title\n\n*About 30 minutes.*\n\n**Before you start:** nothing\n\n"
+    "**You will be able to**\n\n1. read"
+)
+BODY = "\n\nPredict: what?\n\n<details><summary>What you see</summary>\n\nThat.\n\n</details>"
+END = "## Where this breaks\n\n## Summary\n\n## Next\n\n## Your turn\n\n" + "word " * 950
+PATTERN = [TOP, code("x = 1"), figure(2), text("*Figure 1. A line.*" + BODY), text(END)]
+
+
+def changed(place, cell):
+    return [cell if i == place else old for i, old in enumerate(PATTERN)]
+
+
+def test_a_chapter_after_the_pattern_passes():
+    assert departures(notebook(*PATTERN), "chapter") == []
+
+
+@pytest.mark.parametrize(
+    ("cells", "problem"),
+    [
+        (changed(2, figure(2, alt="")), "figure 1 has no alt text"),
+        (changed(3, text("A line." + BODY)), "figure 1 has no caption"),
+        (changed(3, text("*Figure 2. A line.*" + BODY)), "figure 1 has no caption"),
+        (
+            changed(3, text("*Figure 1.*\n\nPredict: it falls.")),
+            "no question: 'Predict: it falls.'",
+        ),
+        (changed(3, text("*Figure 1.*")), "nothing to predict"),
+        (changed(3, text("*Figure 1.*\n\nPredict: what?")), "1 times Predict, fewer answers"),
+        (changed(4, text(END.replace("## Next", ""))), "the section 'Next' is missing"),
+        (changed(4, text(END[:60])), "words: "),
+        (changed(0, text("# 00. A title")), "'**Before you start' is missing"),
+        (changed(1, code("x = 1\n" * 151)), "lines: 152, at most 150"),
+        ([*PATTERN, *[code("x = 1", k) for k in range(3, 23)]], "cells: 22, at most 20"),
+        ([*PATTERN, *[code("x = 1\n" * 9, k) for k in (3, 4, 5)]], "median: 9, at most 8"),
+    ],
+)
+def test_a_departure_is_found(cells, problem):
+    assert any(problem in found for found in departures(notebook(*cells), "chapter"))
+
+
+def test_folded_code_does_not_count_as_in_view():
+    folded = code("x = 1\n" * 200, 3, tags=["hide-input"])
+    assert departures(notebook(*PATTERN, folded), "chapter") == []
+    assert measures(notebook(*PATTERN, folded))["cells"] == 3
+
+
+def test_each_notebook_has_the_budget_of_its_kind():
+    kinds = {path: kind_of(path) for path in NOTEBOOKS}
+    assert set(kinds.values()) <= {*BUDGETS, ""}
+    assert all(kinds[path] == "chapter" for path in CHAPTERS if int(path.stem[:2]) < 80)
 
 
 # ---- and so must the exchange of forms ----
