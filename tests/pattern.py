@@ -35,7 +35,7 @@ class Budget:
 BUDGETS = {
     "chapter": Budget(),
     "primer": Budget(cells=12, words=(600, 1300), figures=4),
-    "case": Budget(cells=28, lines=120, median=12, words=(400, 1800), headings=(), opening=()),
+    "case": Budget(cells=30, lines=120, median=12, words=(400, 1800), headings=(), opening=()),
 }
 
 

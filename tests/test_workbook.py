@@ -48,13 +48,8 @@ def test_notebook_is_cleanly_executed(path):
     assert not faults(read_notebook(path))
 
 
-OLD = {f"{n:02d}" for n in (*range(7), *range(8, 18), 90)}  # not yet after the pattern
-
-
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: "/".join(path.parts[-2:]))
 def test_notebook_is_after_the_pattern(path):
-    if path.stem[:2] in OLD and path.parent.name == "workbook":
-        pytest.skip("an old chapter")
     assert not departures(read_notebook(path), kind_of(path))
 
 
