@@ -225,6 +225,10 @@ def describe(
         ):
             text = html.escape(re.sub(r"<.*?>", "", text), quote=True)
             context["metatags"] = context.get("metatags", "") + f'\n<meta {name} content="{text}">'
+    tree_key = "furo_navigation_tree"  # a heading without a level is none to a screen reader
+    if tree_key in context:
+        level = 'role="heading" aria-level="2"'
+        context[tree_key] = context[tree_key].replace('role="heading"', level)
     if pagename == "search":
         app.add_js_file("texts.js", priority=100)
         app.add_js_file("search.js", priority=101)
@@ -258,5 +262,5 @@ def connect(app: Any) -> None:
     app.connect("source-read", frame_notebook)
     app.connect("autodoc-process-docstring", add_users)
     app.connect("doctree-read", name_as_used)
-    app.connect("html-page-context", describe)
+    app.connect("html-page-context", describe, priority=900)  # after the theme's own
     app.connect("build-finished", write_texts)

@@ -233,8 +233,8 @@ def test_a_chapter_runs_in_jupyterlab(browser, lab, name):
     page.wait_for_selector(".jp-NotebookPanel .jp-Cell", timeout=60_000)
     page.wait_for_selector(".jp-Toolbar-kernelName:not(:has-text('No Kernel'))", timeout=60_000)
     page.wait_for_timeout(1500)  # until the kernel is ready: a dialog would block what follows
-    page.click("text=Run >> nth=0")
-    page.click("text=Run All Cells >> nth=0")
+    page.click(".lm-MenuBar-item:has-text('Run')")
+    page.click(".lm-Menu-item:has-text('Run All Cells')")
     page.keyboard.press("Control+s")
     saved = folder / f"{name}.ipynb"
     last = None
