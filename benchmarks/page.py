@@ -1,0 +1,103 @@
+"""Write the site's page "How fast, how exact" from the numbers of one run of test_peers.py.
+
+python benchmarks/page.py _build/peers.json
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from importlib.metadata import version
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+PAGE = Path(__file__).resolve().parents[1] / "book" / "speed.md"
+ALIKE = 10.0  # errors within this factor of one another, or below
+NOTHING = 1e-9  # this, are the same accuracy
+
+TOP = """# How fast, how exact
+
+Each table is one job, done by the library and by its peers in one run on one machine. The error is
+that of the result against an exact one. A ratio says how much longer the library takes than its
+peer; where their accuracies differ by more than a factor of ten there is none, as such times do not
+compare.
+
+{machine}
+
+"""
+
+END = """## What the numbers say
+
+- One small job costs the library more than python-control or SciPy: it asks the model what it can
+  do, verifies each derivative, and says what a verdict rests on. These are fixed costs of about a
+  millisecond.
+- Many jobs at once cost it far less: a batch is one array, and each column keeps its own error.
+- `heyoka` and Numba compile the model's own arithmetic; they are what a loop could cost at best.
+- TOPP-RA on its own grid is quick and exceeds the limits between its points by the error of its
+  row; on 1,000 points it is nearer, and slower.
+
+Do it again with `pip install ".[benchmark,timescale]"`, then `pytest benchmarks/test_peers.py
+--benchmark-json=_build/peers.json` and `python benchmarks/page.py _build/peers.json`.
+"""
+
+
+def alike(one: float, other: float) -> bool:
+    """Tell whether two errors are the same accuracy."""
+    low, high = sorted((max(one, NOTHING), max(other, NOTHING)))
+    return high <= ALIKE * low
+
+
+def whose(row: dict[str, Any]) -> str:
+    """Return who did the job of a row."""
+    if "[" in row["name"]:
+        return next(v for k, v in row["params"].items() if k == "whose")
+    return (
+        "ours" if row["name"].endswith("ours") else row["name"].split("_", 2)[2].replace("_", "-")
+    )
+
+
+def duration(seconds: float) -> str:
+    """Return a time with three digits and a unit."""
+    for unit, size in (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6)):
+        if seconds >= size:
+            return f"{seconds / size:.3g} {unit}"
+    return f"{seconds / 1e-9:.3g} ns"
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """Return the table of one job, ours first."""
+    rows = sorted(rows, key=lambda row: (whose(row) != "ours", row["stats"]["min"]))
+    ours = rows[0] if whose(rows[0]) == "ours" else None
+    lines = ["| | time | error | ours takes |", "| --- | ---: | ---: | ---: |"]
+    for row in rows:
+        error = row["extra_info"]["accuracy"]
+        ratio = ""
+        if ours and row is not ours:
+            ratio = "not comparable"
+            if alike(error, ours["extra_info"]["accuracy"]):
+                ratio = f"{ours['stats']['min'] / row['stats']['min']:.2g} times"
+        shown = f"{error:.1e}" if error else ""
+        lines.append(f"| {whose(row)} | {duration(row['stats']['min'])} | {shown} | {ratio} |")
+    return "\n".join(lines)
+
+
+def main(path: str) -> None:
+    run = json.loads(Path(path).read_text(encoding="utf-8"))
+    machine = run["machine_info"]
+    names = ("numpy", "scipy", "control", "toppra")
+    about = (
+        f"Python {machine['python_version']} on {machine['system']}, {machine['machine']},"
+        f" {machine['cpu'].get('brand_raw', 'a processor without a name')}, {os.cpu_count()} cores,"
+        f" one thread; {', '.join(f'{n} {version(n)}' for n in names)}; {run['datetime'][:10]}."
+    )
+    text = TOP.format(machine=about)
+    by_group = sorted(run["benchmarks"], key=lambda row: row["group"].split(",")[0])
+    for group, rows in groupby(by_group, key=lambda row: row["group"]):
+        text += f"## {group[:1].upper()}{group[1:]}\n\n{table(list(rows))}\n\n"
+    PAGE.write_text(text + END, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])
