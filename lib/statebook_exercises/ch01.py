@@ -143,7 +143,7 @@ STAYS = "and after another second it is"
 def _judge_policy(answer: Any, p: Parameters) -> str:
     cart = sb.Particle(m=p.m)
     for share in (0.0, 0.1, -0.1):
-        seen = []
+        seen: list[float] = []
 
         def policy(x: np.ndarray, t: float, seen: list[float] = seen) -> Any:
             u = answer(x, t)

@@ -43,7 +43,7 @@ def _cart(rng: np.random.Generator) -> dict[str, float]:
 
 
 def _tick(
-    p: Parameters, x: tuple[float, float], half: float = 0.5, moved: bool = False, sign: float = -1
+    p: Parameters, x: Any, half: float = 0.5, moved: bool = False, sign: float = -1
 ) -> tuple[float, float]:
     """One period; moved: the force for the velocity is computed anew, from the new position."""
     u = sign * (p.kp * x[0] + p.kd * x[1])
