@@ -182,9 +182,12 @@ EXERCISES = (
             ),
             Slip(
                 "the angle counts from the x axis: the lever of the weight is L cos(theta)",
-                lambda p: np.arcsin(_ratio(p)) - np.pi / 2,
+                lambda p: np.arcsin(_ratio(p)),
             ),
-            Slip("a mass is not a weight: where is g?", lambda p: -np.arccos(min(1.0, p.u / 9))),
+            Slip(
+                "a weight is no torque: where is its moment arm?",
+                lambda p: -np.arccos(p.u / (p.m * G)),
+            ),
             Slip("hanging needs no torque at all", lambda p: -np.pi / 2),
         ),
     ),
