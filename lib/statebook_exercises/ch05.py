@@ -248,7 +248,6 @@ EXERCISES = (
             ),
             Slip("where does it start? You forgot theta", lambda p: _turned(p, p.t)),
             Slip("x' = -y, y' = x turns counter-clockwise", lambda p: _turned(p, p.theta - p.t)),
-            Slip("x first, then y", lambda p: _turned(p, p.t + p.theta)[::-1]),
         ),
         rtol=0.02,
     ),
