@@ -63,8 +63,14 @@ from .uncertainty.error_models import with_parameters as with_parameters
 from .uncertainty.monte_carlo import monte_carlo as monte_carlo
 from .uncertainty.noise import HeldNoise as HeldNoise
 from .uncertainty.noise import discretize_noise as discretize_noise
+from .verdict.comparison import Comparison as Comparison
+from .verdict.comparison import compare as compare
 from .verdict.distance import distance_to_instability as distance_to_instability
+from .verdict.locus import Crossing as Crossing
+from .verdict.locus import Locus as Locus
+from .verdict.locus import eigenvalue_locus as eigenvalue_locus
 from .verdict.maps import eigenvalue_map as eigenvalue_map
+from .verdict.margins import Margins as Margins
 from .verdict.report import Mode as Mode
 from .verdict.report import StabilityReport as StabilityReport
 from .verdict.sample_time import critical_sample_time as critical_sample_time

@@ -256,18 +256,30 @@ def linearize(
     array([[0. , 1. ],
            [9.8, 0. ]])
     """
-    import control
-
     system = as_system(system, x0, u0)
     x0, u0 = point(system, x0, u0, batch=False)
     t = time_of(system, x0, u0, t)
-    columns, split = _columns(system, states, inputs)
+    columns, _ = _columns(system, states, inputs)
     J, error, inexact = jacobian_at_rest(system, x0, u0, t, columns=columns, scale=scale)
     warn_of_differences(system, error, inexact)
+    return linear_system(system, x0, u0, t, J, columns)
+
+
+def linear_system(
+    system: System,
+    x0: np.ndarray,
+    u0: np.ndarray,
+    t: float,
+    J: np.ndarray,
+    columns: list[int] | None = None,
+) -> control.StateSpace:
+    """Return the linear system of a Jacobian, with the outputs' derivatives and all labels."""
+    import control
+
     outputs, H = _outputs(system, x0, u0, t, columns)
-    kept = [*system.states, *system.inputs]
+    kept, split = [*system.states, *system.inputs], system.n
     if columns is not None:
-        kept = [kept[j] for j in columns]
+        kept, split = [kept[j] for j in columns], sum(j < system.n for j in columns)
         J = J[columns[:split]]
     inputs, B, D = kept[split:], J[:, split:], H[:, split:]
     if not inputs:

@@ -14,11 +14,13 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from statebook import _validate
+from statebook.variants import variant
 
 _CHUNKS_PER_WORKER = 8  # enough for the work to even out, few enough to cost little
 _WORKERS = 8  # guess for an executor that does not say how many it has
@@ -36,6 +38,7 @@ def sweep(
     progress: bool = True,
     chunk: int | None = None,
     seed: int | None = None,
+    model: Any = None,
 ) -> np.ndarray:
     """Evaluate a function at every point of a parameter grid.
 
@@ -57,6 +60,9 @@ def sweep(
     seed : int >= 0, optional
         For a function with a parameter rng: it gets a numpy.random.Generator of its own at each
         point, the same on any executor.
+    model : dataclass, control.NonlinearIOSystem or callable, optional
+        What the parameters belong to, as in `eigenvalue_locus`: the function then gets, as its
+        only argument, the model with these values.
 
     Returns
     -------
@@ -89,6 +95,9 @@ def sweep(
 
     points, shape = _points(grid)
     entropy = _entropy(function, grid, seed)
+    if model is not None:
+        variant(model, points[0])  # says what is wrong with a name
+        function = partial(_of_variant, function, model)
     if not (executor is None or isinstance(executor, Executor)):
         raise TypeError(f"executor must be a concurrent.futures.Executor, got {executor!r}")
     if executor is None or isinstance(executor, ProcessPoolExecutor):
@@ -129,6 +138,12 @@ def sweep(
         raise ValueError(f"function must return results of one shape, got {shapes}")
     stacked = np.array(results)
     return stacked.reshape(shape + stacked.shape[1:])
+
+
+def _of_variant(function: Callable[..., Any], model: Any, /, **values: Any) -> Any:
+    drawn = isinstance(values.get("rng"), np.random.Generator)
+    rng = {"rng": values.pop("rng")} if drawn else {}
+    return function(variant(model, values), **rng)
 
 
 def _points(grid: Any) -> tuple[list[dict[str, Any]], tuple[int, ...]]:

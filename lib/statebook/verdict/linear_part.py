@@ -36,6 +36,9 @@ class LinearPart:
     system : System or None
         What A was computed from, at x0 and u0.
     x0, u0 : array, shape (n,) and (m,)
+    t : float [s]
+    source : control.StateSpace or None
+        The linear system itself, if that was given.
     """
 
     A: np.ndarray
@@ -48,6 +51,8 @@ class LinearPart:
     system: System | None = None
     x0: np.ndarray = field(default_factory=lambda: np.zeros(0))
     u0: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    t: float = 0.0
+    source: Any = None
 
 
 def linear_part(
@@ -92,7 +97,7 @@ def linear_part(
         if x0 is not None:  # any point will do, but not a point of another space
             _validate.array("x0", x0, (view.n,))
         A, B = np.asarray(view.source.A), np.asarray(view.source.B)
-        return LinearPart(A, B, None, EPS, view.dt, view.states, True)
+        return LinearPart(A, B, None, EPS, view.dt, view.states, True, source=view.source)
     if x0 is None:
         if not view.linear:
             raise ValueError(
@@ -107,10 +112,14 @@ def linear_part(
     J, error, inexact = jacobian_at_rest(view, x, u)
     warn_of_differences(view, error, inexact)
     A, B = J[:, : view.n], J[:, view.n :]
+    precision = precision_of(A, error[:, : view.n])
+    return LinearPart(A, B, None, precision, view.dt, view.states, view.linear, view, x, u, t)
+
+
+def precision_of(A: np.ndarray, error: np.ndarray) -> float:
+    """Return the relative error of a matrix whose entries have these errors."""
     size = float(np.linalg.norm(A))
-    unknown = float(np.linalg.norm(error[:, : view.n]))
-    precision = max(EPS, unknown / size) if size > 0 else EPS
-    return LinearPart(A, B, None, precision, view.dt, view.states, view.linear, view, x, u)
+    return max(EPS, float(np.linalg.norm(error)) / size) if size > 0 else EPS
 
 
 def continuous_part(

@@ -2,25 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
 from statebook import _validate
+from statebook.verdict.followed import Followed, Sample
+from statebook.verdict.report import sort_eigenvalues
 
 
-def eigenvalue_map(function: Callable[..., Any], *grids: Any) -> np.ndarray:
-    """Eigenvalues of a matrix that depends on parameters.
+def eigenvalue_map(
+    function: Any,
+    *grids: Any,
+    x0: Any = None,
+    u0: Any = None,
+    dt: float | bool | None = None,
+    t: float | None = None,
+    trim: Mapping[str, Any] | None = None,
+) -> np.ndarray:
+    """Eigenvalues of a matrix or a model that depends on parameters.
 
     Parameters
     ----------
-    function : callable
+    function : callable, or a model beside a mapping
         ``function(*parameters)``, called with one array per grid, all of the shape of the
         whole grid; it returns matrices of shape (\\*grid shape, n, n). It is called once, and
         once more, on a small grid, where sizes agree so that axes could be confused.
     *grids : array, shape (N,)
-        Values of each parameter, one after another in the result's axes ("ij" order).
+        Values of each parameter, one after another in the result's axes ("ij" order). Or one
+        mapping of a model's parameters to their values, as `eigenvalue_locus` takes it, one
+        parameter or more; the model is then linearized at its equilibrium at each point.
+    x0, u0, dt, t, trim
+        Of a model, as `eigenvalue_locus` takes them: the equilibrium at the first point, from
+        which the others are found, each from its neighbour.
 
     Returns
     -------
@@ -42,7 +57,15 @@ def eigenvalue_map(function: Callable[..., Any], *grids: Any) -> np.ndarray:
     ...     return A
     >>> eigenvalue_map(oscillator, [1.0, 4.0], [0.0]).imag.round(9).tolist()
     [[[1.0, -1.0]], [[2.0, -2.0]]]
+    >>> import statebook as sb
+    >>> eigenvalue_map(sb.Pendulum(g=9.0), {"L": [1.0, 4.0]}, x0=[-sb.pi / 2, 0]).imag.round(9)
+    array([[ 3. , -3. ],
+           [ 1.5, -1.5]])
     """
+    if len(grids) == 1 and isinstance(grids[0], Mapping):
+        return _of_model(Followed(function, tuple(grids[0]), x0, u0, dt, t, trim), grids[0])
+    if any(given is not None for given in (x0, u0, dt, t, trim)):
+        raise TypeError('x0, u0, dt, t and trim belong to a model: map {"parameter": values}')
     if not grids:
         raise ValueError("grids: at least one vector of parameter values is required, got none")
     vectors = [_validate.array(f"grid {k}", grid, (None,)) for k, grid in enumerate(grids)]
@@ -55,6 +78,22 @@ def eigenvalue_map(function: Callable[..., Any], *grids: Any) -> np.ndarray:
     if len(set(axes)) < len(axes) and matrices.size:
         _require_order(function, vectors, matrices.shape[-1])
     return sort_eigenvalues(np.linalg.eigvals(matrices))
+
+
+def _of_model(followed: Followed, grid: Mapping[str, Any]) -> np.ndarray:
+    """Return the eigenvalues of a model, following its equilibrium from point to point."""
+    vectors = [_validate.array(f"grid[{n!r}]", v, (None,)).tolist() for n, v in grid.items()]
+    shape = tuple(map(len, vectors))
+    if not all(shape):
+        raise ValueError(f"grid must hold at least one value of each parameter, got {dict(grid)}")
+    found: dict[tuple[int, ...], Sample] = {}
+    for index in np.ndindex(shape):
+        moved = max((axis for axis, i in enumerate(index) if i), default=0)
+        beside = tuple(i - (axis == moved) for axis, i in enumerate(index))
+        values = {name: v[i] for name, v, i in zip(grid, vectors, index, strict=True)}
+        found[index] = followed.at(values, found.get(beside))
+    eigenvalues = np.stack([sample.eigenvalues for sample in found.values()])
+    return sort_eigenvalues(eigenvalues.reshape(*shape, -1))
 
 
 def _wrong_shape(shape: tuple[int, ...], got: tuple[int, ...]) -> str:
@@ -75,20 +114,3 @@ def _require_order(function: Callable[..., Any], vectors: list[np.ndarray], n: i
         return
     if got != (*sizes, n, n) and sorted(got) == sorted((*sizes, n, n)):
         raise ValueError(_wrong_shape(tuple(sizes), got))
-
-
-def sort_eigenvalues(eigenvalues: np.ndarray) -> np.ndarray:
-    """Sort along the last axis by decreasing real part, then imaginary part.
-
-    Real parts that agree to 1e-9 of the largest eigenvalue count as equal, so that rounding
-    does not shuffle conjugate pairs.
-    """
-    return np.take_along_axis(eigenvalues, sorting(eigenvalues), axis=-1).astype(complex)
-
-
-def sorting(eigenvalues: np.ndarray) -> np.ndarray:
-    """Indices that sort eigenvalues along the last axis."""
-    scale = np.abs(eigenvalues).max(axis=-1, keepdims=True, initial=0.0)
-    real = np.zeros(eigenvalues.shape)
-    np.divide(eigenvalues.real, scale, out=real, where=scale > 0)
-    return np.lexsort((-eigenvalues.imag, -np.round(real, 9)), axis=-1)

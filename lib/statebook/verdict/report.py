@@ -5,8 +5,14 @@ from __future__ import annotations
 import html
 import re
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from statebook.verdict.margins import Margins, margins_of, open_loop
+
+if TYPE_CHECKING:
+    import control
 
 # The table of a large system shows its slowest modes only.
 _ROWS = 12
@@ -71,6 +77,8 @@ class StabilityReport:
         Timebase: None or 0 is continuous, True or > 0 [s] discrete.
     states : tuple of str
         Labels of the states.
+    linearization : control.StateSpace or None
+        The linear system that was judged, for python-control; None of a bare matrix.
     """
 
     verdict: str
@@ -81,15 +89,72 @@ class StabilityReport:
     modes: tuple[Mode, ...]
     dt: float | bool | None
     states: tuple[str, ...]
+    linearization: control.StateSpace | None = None
 
     def __repr__(self) -> str:
         lines, rows, more = self._parts()
-        widths = [max(len(row[k]) for row in rows) for k in range(5)] if rows else []
-        lines += [
-            "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip()
-            for row in rows
-        ]
-        return "\n".join(lines + more)
+        return "\n".join([*lines, *text_table(rows), *more])
+
+    def margins(
+        self, K: Any = 1.0, *, input: str | None = None, output: str | None = None
+    ) -> Margins:
+        """Margins of a loop round the linearization.
+
+        Parameters
+        ----------
+        K : array of shape (m, n), control.StateSpace, control.TransferFunction or float
+            The controller, with negative feedback: gains on the states, u = u0 - K (x - x0), or
+            what acts on one output.
+        input, output : str, optional
+            Where the loop is opened, and what K measures unless it is gains on the states; the
+            only ones if omitted. Of several inputs of gains the others stay closed.
+
+        Returns
+        -------
+        Margins
+
+        Raises
+        ------
+        TypeError, ValueError
+            No such input or output, or several and none was named; K does not fit; the report
+            is of a bare matrix.
+
+        Examples
+        --------
+        >>> import statebook as sb
+        >>> upright = sb.stability(sb.Pendulum(g=9.0), [sb.pi / 2, 0])
+        >>> upright.margins([[18.0, 6.0]])
+        closed loop asymptotically stable: gain 0.5 to inf, phase 60 deg, delay 0.2015 s, modulus 1
+        """
+        return margins_of(open_loop(self.linearization, K, input, output))
+
+    def bode(self, K: Any = 1.0, *, input: str | None = None, output: str | None = None) -> Any:
+        """Draw the Bode plot of that loop: python-control's ControlPlot; see `margins`.
+
+        Examples
+        --------
+        >>> import statebook as sb
+        >>> plot = sb.stability(sb.Pendulum(), [sb.pi / 2, 0]).bode([[20.0, 6.0]])
+        >>> plot.axes.shape
+        (2, 1)
+        """
+        import control
+
+        return control.bode_plot(open_loop(self.linearization, K, input, output))
+
+    def nyquist(self, K: Any = 1.0, *, input: str | None = None, output: str | None = None) -> Any:
+        """Draw the Nyquist plot of that loop: python-control's ControlPlot; see `margins`.
+
+        Examples
+        --------
+        >>> import statebook as sb
+        >>> plot = sb.stability(sb.Pendulum(), [sb.pi / 2, 0]).nyquist([[20.0, 6.0]])
+        >>> plot.axes.shape
+        (1, 1)
+        """
+        import control
+
+        return control.nyquist_plot(open_loop(self.linearization, K, input, output))
 
     def to_markdown(self) -> str:
         """Write the report as Markdown, the modes as a table.
@@ -118,16 +183,8 @@ class StabilityReport:
 
     def _repr_html_(self) -> str:
         (title, reason), rows, more = self._parts()
-        table = "".join(
-            "<tr>" + "".join(f"<{tag}>{html.escape(cell)}</{tag}>" for cell in row) + "</tr>"
-            for tag, row in zip(["th", *["td"] * len(rows)], rows, strict=False)
-        )
-        # A wide table scrolls by itself, and the page does not.
-        return (
-            f"<p><strong>{html.escape(title)}</strong></p><p>{html.escape(reason)}</p>"
-            f'<div style="overflow-x:auto;white-space:nowrap"><table>{table}</table></div>'
-            + "".join(f"<p>{line}</p>" for line in more)
-        )
+        words = f"<p><strong>{html.escape(title)}</strong></p><p>{html.escape(reason)}</p>"
+        return words + html_table(rows) + "".join(f"<p>{line}</p>" for line in more)
 
     def _parts(self) -> tuple[list[str], list[tuple[str, ...]], list[str]]:
         """Title and reason, rows of the table of modes, and what it leaves out."""
@@ -156,6 +213,24 @@ class StabilityReport:
         """Labels of the states whose share is at least half the largest."""
         share = mode.participation
         return ", ".join(np.array(self.states)[share >= 0.5 * share.max() - 1e-6])
+
+
+def text_table(rows: list[tuple[str, ...]]) -> list[str]:
+    """Return the lines of a table, its columns aligned."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    ]
+
+
+def html_table(rows: list[tuple[str, ...]]) -> str:
+    """Return a table with a head; a wide one scrolls by itself, and the page does not."""
+    table = "".join(
+        "<tr>" + "".join(f"<{tag}>{html.escape(cell)}</{tag}>" for cell in row) + "</tr>"
+        for tag, row in zip(["th", *["td"] * len(rows)], rows, strict=False)
+    )
+    return f'<div style="overflow-x:auto;white-space:nowrap"><table>{table}</table></div>'
 
 
 def _literal(text: str) -> str:
@@ -194,3 +269,20 @@ def modes_of(
         time_constant = float("inf") if rate == 0 else 1 / rate
         modes.append(Mode(complex(value), damping + 0.0, size, time_constant, share))
     return tuple(modes)
+
+
+def sort_eigenvalues(eigenvalues: np.ndarray) -> np.ndarray:
+    """Sort along the last axis by decreasing real part, then imaginary part.
+
+    Real parts that agree to 1e-9 of the largest eigenvalue count as equal, so that rounding
+    does not shuffle conjugate pairs.
+    """
+    return np.take_along_axis(eigenvalues, sorting(eigenvalues), axis=-1).astype(complex)
+
+
+def sorting(eigenvalues: np.ndarray) -> np.ndarray:
+    """Indices that sort eigenvalues along the last axis."""
+    scale = np.abs(eigenvalues).max(axis=-1, keepdims=True, initial=0.0)
+    real = np.zeros(eigenvalues.shape)
+    np.divide(eigenvalues.real, scale, out=real, where=scale > 0)
+    return np.lexsort((-eigenvalues.imag, -np.round(real, 9)), axis=-1)

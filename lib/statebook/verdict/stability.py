@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from statebook import _validate
+from statebook.linearization import linear_system
 from statebook.verdict.exact import LARGEST, RationalMatrix, as_rational, judge_exactly
 from statebook.verdict.families import family_of
 from statebook.verdict.judgement import UNSTABLE, Judgement, judge
 from statebook.verdict.linear_part import LinearPart, linear_part
-from statebook.verdict.maps import sorting
-from statebook.verdict.report import StabilityReport, modes_of
+from statebook.verdict.report import StabilityReport, modes_of, sorting
+
+if TYPE_CHECKING:
+    import control
 
 INCONCLUSIVE = "inconclusive"
 
@@ -110,8 +113,20 @@ def stability(
     modes = modes_of(eigenvalues, judgement.participations[:, order], discrete, part.dt)
     return StabilityReport(
         verdict, eigenvalues, judgement.margin, judgement.tolerance, reason, modes, part.dt,
-        part.states,
+        part.states, _linearization(part),
     )  # fmt: skip
+
+
+def _linearization(part: LinearPart) -> control.StateSpace | None:
+    """Return the linear system that was judged; None of a matrix, or of outputs with a kink."""
+    if part.system is None:
+        return part.source
+    assert part.B is not None
+    try:
+        J = np.hstack([part.A, part.B])
+        return linear_system(part.system, part.x0, part.u0, part.t, J)
+    except ValueError:
+        return None
 
 
 def _to_be_proved(part: LinearPart, exact: bool | None) -> RationalMatrix | None:
