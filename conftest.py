@@ -4,6 +4,8 @@ import importlib.util
 
 import pytest
 
+collect_ignore_glob = ["lib/statebook/analysis/*.ipynb"]  # a template has no outputs
+
 
 def pytest_collection_modifyitems(items):
     """Skip doctests that call time_scale."""

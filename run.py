@@ -7,6 +7,7 @@
     python3 run.py test --matrix            test the chapters on every Python that is here
     python3 run.py lab [FOLDER]             open JupyterLab on a copy of your own, or in a folder
     python3 run.py refresh [chapter files]  execute committed chapters again, in place
+    python3 run.py new NAME                 write analyses/NAME.ipynb, to analyse a model of yours
     python3 run.py slides [NN ...]          make the slides of chapters
     python3 run.py students DIR             write the hand-out, without solutions
 
@@ -338,6 +339,17 @@ def slides(arguments):
     return run(["book/slides.py", *arguments])
 
 
+def new(arguments):
+    """Write an analysis notebook for a model of the reader's own."""
+    code = run(["-m", "statebook", "new", *arguments])
+    if code == 0:
+        file = "analyses/%s.ipynb" % re.sub(r"\.ipynb$", "", arguments[0])
+        jobs = ("lab analyses", "refresh %s" % file, "test analyses")
+        print("to edit it, store its outputs, and compare them with what was stored:")
+        print("\n".join("    python3 run.py " + job for job in jobs))
+    return code
+
+
 def students(arguments):
     """Write chapters and exercises, without their solutions, into a new folder."""
     if len(arguments) != 1:
@@ -348,7 +360,7 @@ def students(arguments):
 
 def main(arguments):
     """Do the job that the first argument names and return the exit code."""
-    listed = (book, test, lab, refresh, slides, students)
+    listed = (book, test, lab, refresh, slides, new, students)
     jobs = {job.__name__: job for job in listed}
     if not arguments:
         print(__doc__)

@@ -345,6 +345,16 @@ def test_an_unknown_job_is_told_the_jobs(run, capsys):
     assert "no job 'bogus'; there are book, test, lab" in capsys.readouterr().out
 
 
+def test_new_writes_and_says_how_to_go_on(run, monkeypatch, capsys):
+    monkeypatch.setattr(run, "run", lambda arguments: run.calls.append(arguments) or 0)
+    assert run.main(["new", "car.ipynb"]) == 0
+    assert run.calls[-1] == ["-m", "statebook", "new", "car.ipynb"]
+    assert "run.py refresh analyses/car.ipynb" in capsys.readouterr().out
+    monkeypatch.setattr(run, "run", lambda arguments: 1)
+    assert run.main(["new"]) == 1
+    assert capsys.readouterr().out == ""
+
+
 def test_students_takes_one_folder(run, monkeypatch, tmp_path):
     monkeypatch.setattr(run, "run", lambda arguments: arguments)
     assert run.main(["students", str(tmp_path / "a")])[-1] == str((tmp_path / "a").resolve())

@@ -2,6 +2,8 @@
 
 from . import controllers as controllers
 from . import plotting as plotting
+from .analysis.own_model import OwnModel as OwnModel
+from .analysis.own_model import own_model as own_model
 from .angles import wrap_angle as wrap_angle
 from .checking import check as check
 from .checking import summary as summary

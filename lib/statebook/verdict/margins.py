@@ -118,13 +118,13 @@ def margins_of(loop: Any) -> Margins:
             response = control.frd(at(grid), grid, smooth=True)
             found = control.stability_margins(response, returnall=True)
         gains, phases, least, _, crossover, _ = map(np.asarray, found)
-        ends = np.abs(1 + at(np.array([0.0, np.pi / dt if discrete else np.inf])))
+        ends = [at(np.zeros(1))[0], at(np.full(1, np.pi / dt))[0] if discrete else loop.D[0, 0]]
     lags = np.mod(phases, 360)[crossover > 0] / crossover[crossover > 0]
     return Margins(
         stable,
         (float(gains[gains < 1].max(initial=0.0)), float(gains[gains > 1].min(initial=np.inf))),
         float(np.abs(phases).min(initial=np.inf)),
         float(np.deg2rad(lags.min(initial=np.inf))),
-        float(np.nanmin([*least, *ends])),
+        float(np.nanmin([*least, *np.abs(1 + np.array(ends))])),
         tuple(sorted(crossover.tolist())),
     )
