@@ -37,6 +37,16 @@ def test_published_weave_and_capsize_speeds(values):
     assert [weave.before, weave.after] == (ways if values[0] < values[-1] else ways[::-1])
 
 
+def test_an_eigenvalue_that_passes_one_at_rest_is_not_taken_for_it():
+    def turning(x, u, v=5.0):
+        return np.append(bicycle(x[:4], u, v), v * x[1])
+
+    locus = sb.eigenvalue_locus(turning, {"v": np.linspace(0, 10, 101)}, np.zeros(5), np.zeros(2))
+    assert [c.value for c in locus.crossings] == pytest.approx(
+        [4.29238253634111, 6.02426201538837], abs=1e-9
+    )
+
+
 def normal_form(x, mu=0.0, omega=2.0):
     r2 = x[0] ** 2 + x[1] ** 2
     return [(mu - 0.3 - r2) * x[0] - omega * x[1], omega * x[0] + (mu - 0.3 - r2) * x[1]]

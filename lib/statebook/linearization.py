@@ -286,7 +286,9 @@ def linear_system(
         inputs, B, D = ["none"], np.zeros((split, 1)), np.zeros((len(outputs), 1))
     labels = {"states": kept[:split], "inputs": inputs, "outputs": outputs}
     name = f"{system.name}_linearized"
-    matrices = J[:, :split], B, H[:, :split], D, system.dt
+    # Of an unspecified timebase python-control takes some responses in discrete time.
+    dt = 0 if system.dt is None else system.dt
+    matrices = J[:, :split], B, H[:, :split], D, dt
     return control.StateSpace(*matrices, **labels, name=name, remove_useless_states=False)
 
 

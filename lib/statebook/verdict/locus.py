@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bisect import insort
+from bisect import bisect_left, insort
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import groupby, pairwise
@@ -257,18 +257,27 @@ class _Walk:
         return bool(np.abs((back.x - last.x) / size).max() <= _BACK * moved + 1e-9)
 
     def _follower(self, j: int, known: list[Sample]) -> Callable[[float], tuple[Sample, complex]]:
-        """Return the function of p that finds eigenvalue j between samples that are known."""
-        points = sorted((s.p, complex(s.eigenvalues[j])) for s in known)
+        """Return the function of p that finds eigenvalue j between samples that are known.
+
+        All eigenvalues are matched with what lies between their neighbours, so that j is not
+        taken for one that rests where it passes.
+        """
+        samples = sorted(known, key=_place)
 
         def follow(p: float) -> tuple[Sample, complex]:
-            sample = self.at(p, min(known, key=lambda s: abs(s.p - p)))
-            known_p, known_z = (np.array(values) for values in zip(*points, strict=True))
-            expected = np.interp(p, known_p, known_z)
-            z = complex(sample.eigenvalues[np.abs(sample.eigenvalues - expected).argmin()])
-            insort(points, (p, z), key=lambda point: point[0])
-            return sample, z
+            at = min(max(bisect_left(samples, p, key=_place), 1), len(samples) - 1)
+            sample = self._between(samples[at - 1], samples[at], p)
+            insort(samples, sample, key=_place)
+            return sample, complex(sample.eigenvalues[j])
 
         return follow
+
+    def _between(self, a: Sample, b: Sample, p: float) -> Sample:
+        """Return the sample at p, its eigenvalues in the order of its neighbours'."""
+        sample = self.at(p, a if abs(p - a.p) < abs(p - b.p) else b)
+        share = (p - a.p) / (b.p - a.p) if b.p != a.p else 0.0
+        expected = a.eigenvalues + share * (b.eigenvalues - a.eigenvalues)
+        return _in_order(sample, _matched(expected, sample.eigenvalues)[1])
 
     def crossings(self, samples: list[Sample]) -> tuple[Crossing, ...]:
         """Find where each eigenvalue changes sides."""
@@ -339,11 +348,7 @@ class _Walk:
                     extra.append(float(lowest.x))
         for p in extra:
             at = next(k for k, s in enumerate(samples[1:], 1) if (s.p - p) * (first.p - p) <= 0)
-            here, there = samples[at - 1 : at + 1]
-            new = self.at(p, here)
-            share = (p - here.p) / (there.p - here.p)
-            expected = here.eigenvalues + share * (there.eigenvalues - here.eigenvalues)
-            samples.insert(at, _in_order(new, _matched(expected, new.eigenvalues)[1]))
+            samples.insert(at, self._between(samples[at - 1], samples[at], p))
         return samples
 
 
@@ -355,6 +360,10 @@ def _hidden(one: Crossing, all_of_them: list[Crossing]) -> bool:
         and abs(other.eigenvalue - one.eigenvalue) <= 1e-6 * abs(one.eigenvalue)
         for other in all_of_them
     )
+
+
+def _place(sample: Sample) -> float:
+    return sample.p
 
 
 def _in_order(sample: Sample, order: np.ndarray) -> Sample:
