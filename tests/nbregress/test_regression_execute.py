@@ -145,6 +145,21 @@ def test_write_says_whether_it_changed_the_file(tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["a.ipynb"]
 
 
+def test_what_somebody_saved_while_a_notebook_ran_stays(tmp_path):
+    """The notebook saves itself anew from within, as an editor would."""
+    path = tmp_path / "a.ipynb"
+    save = (
+        "import json, pathlib\nfile = pathlib.Path('a.ipynb')\n"
+        "book = json.loads(file.read_text())\nbook['cells'][1]['source'] = 'edited = 1'\n"
+        "_ = file.write_text(json.dumps(book))"
+    )
+    nbformat.write(new_notebook(cells=cells(save, "x = 1")), path)
+    done = regression(tmp_path, "refresh", "a.ipynb")
+    assert done.returncode == 1 and "saved by somebody else while it ran" in done.stderr
+    assert nbformat.read(path, 4).cells[1].source == "edited = 1"
+    assert nbformat.read(path, 4).cells[0].outputs == []
+
+
 def test_normalize():
     def stream(name, text):
         return new_output("stream", name=name, text=text)

@@ -121,7 +121,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.check:
             stale.extend([path] if changed else [])
             return f"differs in {names}" if changed else "agrees"
-        outcome = "rewritten" if write(nb, path) else "unchanged"
+        outcome = "rewritten" if write(nb, path, run.stored) else "unchanged"
         if changed and outcome == "rewritten":
             outcome += f", new outputs: {names}"
         if kept:

@@ -101,7 +101,7 @@ class NotebookFile(IPyNbFile):
         normalize(run.executed)
         changed, _ = keep_agreeing(self.nb, run.executed, self.settings, items)
         try:
-            write(run.executed, self.path)
+            write(run.executed, self.path, run.stored)
         except NotebookError as error:
             message = f"{self.shown_path} {error}"
             raise pytest.fail.Exception(message, pytrace=False) from None

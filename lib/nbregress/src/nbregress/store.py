@@ -48,7 +48,8 @@ def read(path: Path) -> Any:
             warnings.simplefilter("ignore")
             if nb.nbformat != 4:
                 nb = nbformat.convert(nb, 4)
-            _add_ids(nb)
+            if nb.nbformat_minor >= 5:
+                _add_ids(nb)
             nbformat.validate(nb)
     except (OSError, UnicodeDecodeError) as error:
         raise NotebookError(f"cannot be read: {error}") from error
@@ -59,8 +60,6 @@ def read(path: Path) -> Any:
 
 
 def _add_ids(nb: Any) -> None:
-    if (nb.nbformat, nb.nbformat_minor) < (4, 5):
-        return
     ids = {cell.get("id") for cell in nb.cells}
     for index, cell in enumerate(nb.cells):
         if not cell.get("id"):
@@ -85,7 +84,7 @@ def as_written(nb: Any) -> bytes:
         return (nbformat.writes(nb).rstrip("\n") + "\n").encode("utf-8")
 
 
-def write(nb: Any, path: Path) -> bool:
+def write(nb: Any, path: Path, stored: Any = None) -> bool:
     """Write a notebook if it differs from the file's.
 
     The file is replaced at once, so that an interruption or a full disk leaves the old one.
@@ -94,6 +93,9 @@ def write(nb: Any, path: Path) -> bool:
     ----------
     nb : nbformat.NotebookNode
     path : pathlib.Path
+    stored : nbformat.NotebookNode, optional
+        What was read from the file. If somebody has saved another notebook there since, that
+        one stays.
 
     Returns
     -------
@@ -105,6 +107,10 @@ def write(nb: Any, path: Path) -> bool:
     NotebookError
         If it cannot be written.
     """
+    if stored is not None and read(path) != stored:
+        raise NotebookError(
+            "was saved by somebody else while it ran, and stays as it is: run again"
+        )
     data = as_written(nb)
     temporary = None
     try:
