@@ -5,7 +5,7 @@
                                             --all: everything; --pdf: the core path on paper
     python3 run.py test [pytest options]    run every test
     python3 run.py test --matrix            test the chapters on every Python that is here
-    python3 run.py lab [FOLDER or FILE]     open JupyterLab on a copy of your own, or on what is named
+    python3 run.py lab [FOLDER or FILE]     open JupyterLab on a copy of yours, or on what is named
     python3 run.py refresh [chapter files]  execute committed chapters again, in place
     python3 run.py new NAME                 write analyses/NAME.ipynb, to analyse a model of yours
     python3 run.py slides [NN ...]          make the slides of chapters
