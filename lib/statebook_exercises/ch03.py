@@ -205,6 +205,39 @@ def _rule(p: Parameters, power: float = 1.5, share: float = 0.9) -> Callable[[fl
     return lambda distance: scale * distance**power
 
 
+# ---- 03.7 ----
+
+
+def _long_throw(rng: np.random.Generator) -> dict[str, float]:
+    steps, dt = int(rng.integers(8, 20)), round(float(rng.uniform(0.05, 0.2)), 2)
+    thrown = _thrown(rng)
+    return {**thrown, "dt": dt, "T": round(steps * dt, 4)}
+
+
+def _between(p: Parameters) -> float:
+    """Largest |height - last sample|, just before a grid point."""
+    t = p.dt * np.arange(round(p.T / p.dt))
+    moved = p.v0 * p.dt - p.g * t * p.dt - p.g * p.dt**2 / 2
+    return float(np.abs(moved - p.g * t * p.dt / 2).max())
+
+
+# ---- 03.8 ----
+
+
+def _ramp(rng: np.random.Generator) -> dict[str, float]:
+    return {
+        "b": round(float(rng.uniform(30, 90))),
+        "u0": round(float(rng.uniform(2, 5)), 1),
+        "s": round(float(rng.uniform(0.1, 0.6)), 2),
+        "T": round(float(rng.uniform(2, 5)), 1),
+        "dt": round(float(rng.choice([0.01, 0.02, 0.05])), 2),
+    }
+
+
+def _cost(p: Parameters) -> float:
+    return float(p.b * p.s * p.T * p.dt / 2)
+
+
 EXERCISES = (
     Exercise(
         "03.1",
@@ -335,5 +368,49 @@ EXERCISES = (
         ),
         points=3,
         judge=_judge_rule,
+    ),
+    Exercise(
+        "03.7",
+        "Which error?",
+        "compute",
+        10,
+        _long_throw,
+        lambda p: p.g * p.T * p.dt / 2,
+        (
+            Slip(
+                "that holds the last computed height against the motion since then: even exact"
+                " samples would have such an error. Compare at the grid points",
+                _between,
+            ),
+            Slip("that is the error of one step; they add up", lambda p: p.g * p.dt**2 / 2),
+            Slip(
+                "a step misses half of g dt^2: on the way the velocity changes from 0 to g dt",
+                lambda p: p.g * p.T * p.dt,
+            ),
+        ),
+    ),
+    Exercise(
+        "03.8",
+        "What the input costs",
+        "compute",
+        10,
+        _ramp,
+        _cost,
+        (
+            Slip(
+                "a large Jacobian in u does no harm by itself; how fast does b u change?",
+                lambda p: p.b * p.T * p.dt / 2,
+            ),
+            Slip(
+                "the level of the input does no harm: with s = 0 Euler is exact",
+                lambda p: p.b * p.u0 * p.T * p.dt / 2,
+            ),
+            Slip(
+                "it would be 0 if Euler followed the rate to first order; it holds the rate for a"
+                " step",
+                lambda p: 0.0,
+            ),
+            Slip("that is the error of one step; they add up", lambda p: p.b * p.s * p.dt**2 / 2),
+        ),
     ),
 )
