@@ -19,6 +19,7 @@ from statebook.grading import sandbox
 from statebook.grading.exercise import LEVELS, Exercise, Slip
 from statebook.grading.grade import compare
 from statebook.grading.students import hand_out, main, without_solutions
+from statebook_exercises import ch08, ch09
 
 WORKBOOK = Path(__file__).parents[1] / "workbook"
 SOLVED = sorted((WORKBOOK / "exercises").glob("*.ipynb"))
@@ -53,6 +54,43 @@ WRONG = {
         (lambda p: lambda x, t: -p.limit if x[1] >= 0 else p.limit, "Which sign"),
         (lambda p: lambda x, t: 2 * p.limit, "and the limit is"),
         (lambda p: lambda x, t: 1 / 0, "division by zero"),
+    ],
+    "08.5": [
+        (lambda p: -ch08.regulator(p), "even without a clock"),
+        (lambda p: ch08.regulator(p, 0.01), "is too near"),
+        (lambda p: ch08.regulator(p, 1.0), "from its place"),
+        (lambda p: ch08.regulator(p, 0.1) * [1, 0.75, 1, 1], "still leans by"),
+    ],
+    "08.6": [
+        (lambda p: np.array([1.288, 2.0]) * np.sqrt(p.L), "the plan needs"),
+        (lambda p: np.array([1.55, 2.0]) * np.sqrt(p.L), "the pole is not caught"),
+        (lambda p: (0.0, 1.0), "must lie between"),
+    ],
+    "09.5": [
+        (lambda p: (p.room, 1), "to the side"),
+        (lambda p: (2 * p.room, 1), "is none for a room"),
+        (lambda p: (p.room, 1.5), "must be a whole one"),
+        (lambda p: (np.sqrt(p.step * p.L / np.tan(np.radians(p.degrees)) / 40), 40), "in fewer"),
+    ],
+    "09.6": [
+        (lambda p: np.zeros((3, 2)), "the car ends at"),
+        (lambda p: [[1, 0], [-1, 1], [-1, -1]], "the wheels turn by"),
+        (lambda p: ch09.parking(p) * [[-1, 1], [-1, 1], [-1, 1]], "touches a parked car"),
+        (lambda p: [[40, 0], [-40, 0], [0, 0]], "60 m are allowed"),
+    ],
+    "10.1": [
+        (lambda p: (p.sigma, 2 * np.pi / p.omega), "is the period"),
+        (lambda p: (p.sigma, p.omega / 2 / np.pi), "turns a second"),
+        (lambda p: (p.sigma, p.omega / 2), "one period, not half"),
+        (lambda p: (1 / p.sigma, p.omega), "a time"),
+        (lambda p: (-p.sigma, p.omega), "counts as positive"),
+        (lambda p: (1.3 * p.sigma, p.omega), "within 10 %"),
+    ],
+    "10.6": [
+        (lambda p: (0.1 * p.m / p.h**2, 0.5 * p.m / p.h), "it is still"),
+        (lambda p: (p.m / p.h**2, 3 * p.m / p.h), "on this clock the motion grows"),
+        (lambda p: (-1.0, 1.0), "on this clock the motion grows"),
+        (lambda p: (1.5 * p.m / p.h**2, 1.5 * p.m / p.h), "the force reaches"),
     ],
 }
 
