@@ -291,7 +291,7 @@ EXERCISES = (
         (
             Slip(_OUTWARDS, lambda p: 0.0),
             Slip(_OUTWARDS, lambda p: -_return(p)),
-            Slip(_BACK, lambda p: 0.3 * _return(p)),
+            Slip(_BACK, lambda p: 0.15 * _return(p)),
             Slip(_OVER, lambda p: 2.5 * _return(p)),
         ),
         points=2,
