@@ -287,6 +287,26 @@ def test_margins_of_a_sampled_loop_with_a_delay_in_seconds():
     assert margins.delay == pytest.approx(np.pi / 3 / np.sqrt(27) - dt / 2, rel=0.02)
 
 
+def test_a_late_sampled_loop_loses_stability_where_its_margins_say():
+    plant = sb.discretize(sb.linearize(sb.Pendulum(g=9.0), [np.pi / 2, 0]), 0.05)
+    late = sb.with_input_delay(plant, 0.05)
+    K = control.dlqr(late, np.eye(3), [[0.1]])[0]
+    margins = sb.stability(late).margins(K)
+    for factor in margins.gain:
+        radii = [
+            np.abs(np.linalg.eigvals(late.A - share * factor * late.B @ K)).max()
+            for share in (0.999, 1.001)
+        ]
+        assert min(radii) < 1 < max(radii)
+    omega = np.linspace(1e-3, np.pi / 0.05, 200001)
+    L = control.ss(late.A, late.B, K, 0, 0.05)(np.exp(0.05j * omega))
+    assert margins.modulus == pytest.approx(np.abs(1 + L).min(), rel=1e-6)
+    crossings = omega[:-1][np.diff(np.abs(L) > 1) != 0]
+    assert margins.crossover == pytest.approx(crossings, rel=1e-4)
+    phases = np.angle(-L[:-1][np.diff(np.abs(L) > 1) != 0])
+    assert margins.phase == pytest.approx(np.rad2deg(np.abs(phases).min()), rel=1e-3)
+
+
 def test_an_unstable_loop_has_no_margins_and_says_so():
     margins = UPRIGHT.margins([[1.0, 1.0]])
     assert not margins.stable and "not stable, so these are no margins" in repr(margins)

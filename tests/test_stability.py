@@ -11,7 +11,7 @@ import statebook as sb
 from statebook.verdict.blocks import decompose, with_comparable_couplings
 from statebook.verdict.judgement import judge
 from statebook.verdict.level_sets import _midpoints, boundary_distance, project
-from statebook.verdict.report import sort_eigenvalues, sorting
+from statebook.verdict.words import sort_eigenvalues, sorting
 
 STABLE, MARGINAL, UNSTABLE = "asymptotically stable", "marginally stable", "unstable"
 UNDECIDABLE = "undecidable in double precision"

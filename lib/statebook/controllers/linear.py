@@ -17,8 +17,8 @@ from statebook.derivatives import InexactDerivativeWarning
 from statebook.equilibrium import find_equilibrium
 from statebook.linearization import linearize
 from statebook.systems import System, as_system, time_of
-from statebook.verdict.report import format_complex
 from statebook.verdict.stability import stability
+from statebook.verdict.words import format_complex
 
 
 def saturate(u: np.ndarray, limit: float | None) -> np.ndarray:

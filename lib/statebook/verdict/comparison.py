@@ -8,14 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from statebook.verdict.report import (
-    Mode,
-    StabilityReport,
-    format_complex,
-    format_real,
-    html_table,
-    text_table,
-)
+from statebook.verdict.report import Mode, StabilityReport
+from statebook.verdict.words import format_complex, format_real, html_table, text_table
 
 _HEAD = ("eigenvalue", "damping", "frequency")
 

@@ -19,7 +19,7 @@ from statebook.verdict.blocks import (
 )
 from statebook.verdict.clusters import Cluster, clusters, shared_jordan_points
 from statebook.verdict.level_sets import boundary_distance, margin
-from statebook.verdict.report import format_complex, sorting
+from statebook.verdict.words import format_complex, sorting
 
 ASYMPTOTICALLY_STABLE = "asymptotically stable"
 MARGINALLY_STABLE = "marginally stable"

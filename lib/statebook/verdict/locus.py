@@ -15,7 +15,7 @@ from statebook import _validate
 from statebook.errors import EquilibriumNotFoundError
 from statebook.verdict.followed import Followed, Sample
 from statebook.verdict.level_sets import margin, project
-from statebook.verdict.report import format_complex, sorting
+from statebook.verdict.words import format_complex, sorting
 
 _HALVINGS = 12  # of a step, before what is between its ends counts as a jump
 _STEPS = 16  # at least, over all values

@@ -9,7 +9,7 @@ import numpy as np
 
 from statebook import _validate
 from statebook.verdict.followed import Followed, Sample
-from statebook.verdict.report import sort_eigenvalues
+from statebook.verdict.words import sort_eigenvalues
 
 
 def eigenvalue_map(

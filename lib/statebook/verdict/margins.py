@@ -11,6 +11,9 @@ import numpy as np
 
 from statebook import _validate
 from statebook.verdict.level_sets import margin
+from statebook.verdict.locus import eigenvalue_locus
+
+_LARGEST = 1e4  # factor of the gain that is asked about
 
 
 @dataclass(frozen=True)
@@ -22,13 +25,14 @@ class Margins:
     stable : bool
         The closed loop is asymptotically stable; the others then say how far from not being so.
     gain : (float, float)
-        Factors, below and above 1, between which the loop's gain may lie: 0 or inf for no bound.
+        Factors, below and above 1, between which the loop's gain may lie: 0 or inf for none
+        between 1e-4 and 1e4.
     phase : float [deg]
         By which the loop may lag or lead; inf where its gain never is 1.
     delay : float [s]
         By which it may be late (in samples where dt is True).
     modulus : float
-        Least distance of the Nyquist curve from -1, ``min abs(1 + L)``.
+        Least distance of the Nyquist curve from -1, ``min abs(1 + L)``; NaN if not stable.
     crossover : tuple of float [rad/s]
         Where the loop's gain is 1.
     """
@@ -95,36 +99,76 @@ def _chosen(what: str, label: str | None, labels: Sequence[str]) -> int:
 
 
 def margins_of(loop: Any) -> Margins:
-    """Return the margins of an open loop, a control.StateSpace with one input and output."""
+    """Return the margins of an open loop, a control.StateSpace with one input and output.
+
+    Gains are where eigenvalues of the closed loop cross, the modulus is 1 / norm(S), S = 1 / (1 +
+    L), and crossovers are python-control's, in discrete time by z = (1 + w) / (1 - w).
+    """
     import control
 
-    closed = control.feedback(loop, 1)
     discrete = _validate.is_discrete(loop.dt)
-    stable = bool((margin(closed.poles(), discrete) > 0).all())
-    dt = float(loop.dt) if discrete else 0.0  # True is one sample, and time is in samples
-
-    def at(omega: np.ndarray) -> np.ndarray:
-        s = 1j * np.asarray(omega)
-        return np.atleast_1d(loop(np.exp(s * dt) if discrete else s, warn_infinite=False))
-
-    with np.errstate(all="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # that polynomials lose digits is seen below
-        found = control.stability_margins(loop, returnall=True)
-        if not np.allclose(np.abs(at(found[4])), 1, rtol=1e-6):
-            sizes = np.abs(np.log(loop.poles()) / dt if discrete else loop.poles())
-            sizes = np.append(sizes[(sizes > 0) & np.isfinite(sizes)], 1.0)
-            top = np.pi / dt if discrete else 1e4 * sizes.max()
-            grid = np.geomspace(1e-4 * min(sizes.min(), top), top, 4000)
-            response = control.frd(at(grid), grid, smooth=True)
-            found = control.stability_margins(response, returnall=True)
-        gains, phases, least, _, crossover, _ = map(np.asarray, found)
-        ends = [at(np.zeros(1))[0], at(np.full(1, np.pi / dt))[0] if discrete else loop.D[0, 0]]
-    lags = np.mod(phases, 360)[crossover > 0] / crossover[crossover > 0]
+    stable = bool((margin(control.feedback(loop, 1).poles(), discrete) > 0).all())
+    plane = _continuous(loop) if discrete else loop
+    crossover, phases = _crossovers(plane)
+    if discrete:
+        crossover = 2 * np.arctan(crossover) / float(loop.dt)  # True: time is in samples
+    lags = np.mod(phases, 2 * np.pi)[crossover > 0] / crossover[crossover > 0]
+    modulus = np.nan
+    if stable:
+        slowest = np.abs(control.feedback(1, plane).poles().real).min(initial=np.inf)
+        unit = 1 / slowest if np.isfinite(slowest) else 1.0  # of time: the norm has none
+        same = control.ss(unit * plane.A, unit * plane.B, plane.C, plane.D, 0)
+        modulus = 1 / control.system_norm(control.feedback(1, same), "inf", tol=1e-9)
     return Margins(
         stable,
-        (float(gains[gains < 1].max(initial=0.0)), float(gains[gains > 1].min(initial=np.inf))),
-        float(np.abs(phases).min(initial=np.inf)),
-        float(np.deg2rad(lags.min(initial=np.inf))),
-        float(np.nanmin([*least, *np.abs(1 + np.array(ends))])),
-        tuple(sorted(crossover.tolist())),
+        (1 / _room(loop, -1), _room(loop, 1)),
+        float(np.rad2deg(np.abs(phases).min(initial=np.inf))),
+        float(lags.min(initial=np.inf)),
+        float(modulus),
+        tuple(crossover.tolist()),
     )
+
+
+def _room(loop: Any, way: int) -> float:
+    """Return by which factor the gain may grow (way = 1) or fall (-1) until poles cross."""
+    A, B, C, D = (np.asarray(M) for M in (loop.A, loop.B, loop.C, loop.D))
+    last = float(_LARGEST)
+    if way == 1 and -D[0, 0] * _LARGEST > 1:  # there the loop has no solution
+        last = min(last, (1 - 1e-9) / -D[0, 0])
+
+    def closed(factor: float) -> np.ndarray:
+        gain = factor**way
+        return A - B @ C * (gain / (1 + gain * D[0, 0]))
+
+    grid = np.geomspace(1.0, last, 25)
+    found = eigenvalue_locus(closed, {"factor": grid}, dt=loop.dt).crossings if len(A) else ()
+    return found[0].value if found else np.inf if last == _LARGEST else last
+
+
+def _continuous(loop: Any) -> Any:
+    """Return the same response in continuous time, by z = (1 + w) / (1 - w)."""
+    import control
+
+    A, B, C, D = (np.asarray(M) for M in (loop.A, loop.B, loop.C, loop.D))
+    one = np.eye(len(A))
+    inverse = np.linalg.inv(A + one)
+    return control.ss(inverse @ (A - one), inverse @ B, 2 * C @ inverse, D - C @ inverse @ B, 0)
+
+
+def _crossovers(loop: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Return frequencies at which abs(L) is 1, and by how much the phase is then beyond -pi."""
+    import control
+
+    response = loop
+    for _ in range(2):
+        with np.errstate(all="ignore"), warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # that polynomials lose digits is seen below
+            omega = np.sort(np.asarray(control.stability_margins(response, returnall=True)[4]))
+            values = np.atleast_1d(loop(1j * omega, warn_infinite=False))
+        if np.allclose(np.abs(values), 1, rtol=1e-6):
+            break
+        sizes = np.abs(loop.poles())
+        sizes = np.append(sizes[sizes > 0], 1.0)
+        grid = np.geomspace(1e-4 * sizes.min(), 1e4 * sizes.max(), 4000)
+        response = control.frd(loop(1j * grid), grid, smooth=True)
+    return omega, np.angle(-values)

@@ -12,7 +12,8 @@ from statebook.verdict.exact import LARGEST, RationalMatrix, as_rational, judge_
 from statebook.verdict.families import family_of
 from statebook.verdict.judgement import UNSTABLE, Judgement, judge
 from statebook.verdict.linear_part import LinearPart, linear_part
-from statebook.verdict.report import StabilityReport, modes_of, sorting
+from statebook.verdict.report import StabilityReport, modes_of
+from statebook.verdict.words import sorting
 
 if TYPE_CHECKING:
     import control
