@@ -1,17 +1,12 @@
 """The site, built from the committed chapters: no warning, and nothing from another host."""
 
 import re
-import shutil
-import subprocess
-import sys
 from html.parser import HTMLParser
-from pathlib import Path
 
 import pytest
 
-from ledger import CHAPTERS, NOTEBOOKS, WORKBOOK
-
-ROOT = Path(__file__).resolve().parents[1]
+from built import build_site
+from ledger import CHAPTERS
 
 
 class Resources(HTMLParser):
@@ -33,19 +28,9 @@ class Resources(HTMLParser):
 def site(tmp_path_factory):
     """The folder of the built pages."""
     folder = tmp_path_factory.mktemp("book")
-    source = folder / "source"
-    shutil.copytree(ROOT / "book", source)
-    shutil.copy(WORKBOOK / "inventory.toml", source)
-    for notebook in NOTEBOOKS:
-        place = source / "chapters" / notebook.relative_to(WORKBOOK)
-        place.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(notebook, place)
-    command = ["sphinx", "-q", "--fail-on-warning", "--keep-going", source, folder / "html"]
-    built = subprocess.run(
-        [sys.executable, "-m", *command], capture_output=True, text=True, cwd=folder
-    )
-    assert built.returncode == 0, built.stderr
-    return folder / "html"
+    html, done = build_site(folder, "--fail-on-warning", "--keep-going")
+    assert done.returncode == 0, done.stderr
+    return html
 
 
 def test_pages_load_nothing_from_another_host(site):

@@ -16,7 +16,8 @@ from pathlib import Path
 
 import pytest
 
-from ledger import NOTEBOOKS, WORKBOOK
+from built import build_site
+from ledger import WORKBOOK
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "book"))
@@ -47,17 +48,9 @@ def browser():
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
     """The folder of the built pages, from the committed outputs."""
-    folder = tmp_path_factory.mktemp("site")
-    source = folder / "source"
-    shutil.copytree(ROOT / "book", source)
-    shutil.copy(WORKBOOK / "inventory.toml", source)
-    for notebook in NOTEBOOKS:
-        place = source / "chapters" / notebook.relative_to(WORKBOOK)
-        place.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(notebook, place)
-    command = [sys.executable, "-m", "sphinx", "-q", str(source), str(folder / "html")]
-    subprocess.run(command, check=True, capture_output=True, cwd=folder)
-    return folder / "html"
+    html, done = build_site(tmp_path_factory.mktemp("site"))
+    assert done.returncode == 0, done.stderr
+    return html
 
 
 def open_page(browser, address, size="desk", scheme="light"):
