@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from statebook.grading.exercise import Exercise, Parameters, Slip
+from statebook_exercises.answers import NOT_A_NUMBER, one_number
 
 
 def _sensor(rng: np.random.Generator) -> dict[str, float]:
@@ -131,7 +132,9 @@ def _swinging(rng: np.random.Generator) -> dict[str, float]:
 def _judge_push(answer: Any, p: Parameters) -> str:
     h, x, farthest = 0.04, np.zeros(2), 0.0
     for k in range(400):
-        w = float(np.max(answer(x.copy(), k * h)))
+        w = one_number(answer(x.copy(), k * h))
+        if np.isnan(w):
+            return NOT_A_NUMBER
         if abs(w) > p.w_max * (1 + 1e-9):
             return f"your push is too strong: {abs(w):.3g} N, and w_max is {p.w_max:g} N"
         for _ in range(4):  # semi-implicit steps of 10 ms, good to a percent
@@ -295,6 +298,7 @@ EXERCISES = (
             ),
             Slip("not far enough", lambda p: lambda x, t: p.w_max if x[0] >= 0 else -p.w_max),
             Slip("your push is too strong", lambda p: lambda x, t: 2 * p.w_max),
+            Slip(NOT_A_NUMBER, lambda p: lambda x, t: [p.w_max, np.nan]),
         ),
         points=3,
         judge=_judge_push,

@@ -9,6 +9,7 @@ import numpy as np
 import scipy
 
 from statebook.grading.exercise import Exercise, Parameters, Slip
+from statebook_exercises.answers import NOT_A_NUMBER, one_number
 
 
 def _sensor(rng: np.random.Generator) -> dict[str, float]:
@@ -138,7 +139,9 @@ def _judge_experiment(answer: Any, p: Parameters) -> str:
     for k in range(101):
         if k and k % 2 == 0:  # p = (a double integral of u) / m, so dp/dm = -p / m
             information += (x / p.m / p.sigma) ** 2
-        u = float(np.max(answer(k * TICK)))
+        u = one_number(answer(k * TICK))
+        if np.isnan(u):
+            return NOT_A_NUMBER
         if abs(u) > p.limit * (1 + 1e-9):
             return f"your force is too large: {abs(u):.3g} N, and the limit is {p.limit:g} N"
         x, v = x + v * TICK + u / p.m * TICK**2 / 2, v + u / p.m * TICK

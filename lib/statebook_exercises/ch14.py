@@ -9,6 +9,7 @@ import numpy as np
 
 import statebook as sb
 from statebook.grading.exercise import Exercise, Parameters, Slip
+from statebook_exercises.answers import NOT_A_NUMBER, one_number
 
 
 def _errors(rng: np.random.Generator) -> dict[str, float]:
@@ -139,7 +140,9 @@ def _legs(p: Parameters) -> Callable[[float], float]:
 
 def _judge_clock(answer: Any, p: Parameters) -> str:
     times = np.linspace(0, p.T, 401)
-    s = np.array([float(np.max(answer(float(t)))) for t in times])
+    s = np.array([one_number(answer(float(t))) for t in times])
+    if np.isnan(s).any():
+        return NOT_A_NUMBER
     whole = p.first + p.second
     if abs(s[0]) > 1e-6 or abs(s[-1] - whole) > 1e-6:
         return f"the clock must begin at s = 0 and end at s = {whole:g} m, at the time T"
