@@ -119,7 +119,10 @@ def sweep(
         function = partial(_of_variant, function, model)
     if not (executor is None or isinstance(executor, Executor)):
         raise TypeError(f"executor must be a concurrent.futures.Executor, got {executor!r}")
-    if executor is None or isinstance(executor, ProcessPoolExecutor) or cache is not None:
+    processes = executor is None or isinstance(executor, ProcessPoolExecutor)
+    if processes:
+        _require_module(function)
+    if processes or cache is not None:
         key = _digests(function, grid)
     with ExitStack() as stack:
         board: Any = None
@@ -247,13 +250,16 @@ def _outside(function: Any, known: tuple[Any, ...] = ()) -> list[tuple[str, Any]
     return found
 
 
-def _digests(function: Any, grid: dict[str, Any]) -> dict[str, str]:
-    """Refuse what another process could not receive, before it dies of it; return its digests."""
+def _require_module(function: Any) -> None:
     main = sys.modules["__main__"]
     inner = getattr(function, "func", function)
     forked = multiprocessing.get_context().get_start_method() == "fork"
     if not (forked or hasattr(main, "__file__")) and getattr(inner, "__module__", "") == "__main__":
         raise TypeError(f"function must not come from a notebook or a prompt here: {_ELSEWHERE}")
+
+
+def _digests(function: Any, grid: dict[str, Any]) -> dict[str, str]:
+    """Refuse what another process could not receive, before it dies of it; return its digests."""
     digests = {}
     for name, value in (("function", function), ("grid", grid)):
         try:
