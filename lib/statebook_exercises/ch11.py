@@ -9,6 +9,7 @@ import numpy as np
 
 import statebook as sb
 from statebook.grading.exercise import Exercise, Parameters, Slip
+from statebook_exercises.answers import beyond
 
 G = 9.8
 
@@ -119,9 +120,9 @@ def _judge_lag(answer: Any, p: Parameters) -> str:
     if s.real.max() >= 0:
         return _LAGS
     zeta, tau = float((-s.real / np.abs(s)).min()), float(1 / -s.real.max())
-    if zeta < 0.6:
+    if beyond(0.6, zeta):
         return f"{_RINGS} {zeta:.2g}, and 0.6 is asked for"
-    if tau > p.tau:
+    if beyond(tau, p.tau):
         return f"{_SLOW} {tau:.3g} s, and {p.tau:g} s are allowed"
     return ""
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from statebook.grading.exercise import Exercise, Parameters, Slip
+from statebook_exercises.answers import beyond
 
 TICK = 0.02  # [s], of the clock that asks for an acceleration
 
@@ -94,11 +95,11 @@ def _judge_ramps(answer: Any, p: Parameters) -> str:
     v, up, cruise, down = map(float, answer)
     if v <= 0 or up <= 0 or down <= 0 or cruise < 0:
         return "the speed and both ramps must be positive, and the cruise not negative"
-    if v > p.v_max * (1 + 1e-9):
+    if beyond(v, p.v_max):
         return f"{v:.4g} m/s is faster than the limit of {p.v_max:g} m/s"
-    if v / up > p.engine * 1.0001:
+    if beyond(v / up, p.engine):
         return f"the engine gives {p.engine:g} m/s^2; you ask it for {v / up:.3g}"
-    if v / down > p.brake * 1.0001:
+    if beyond(v / down, p.brake):
         return f"the brakes hold {p.brake:g} m/s^2; you ask them for {v / down:.3g}"
     way = v * (up / 2 + cruise + down / 2)
     if abs(way - p.d) > 0.002 * p.d:
@@ -138,7 +139,10 @@ def _judge_driver(answer: Any, p: Parameters) -> str:
             )
         s, v, t = s + TICK * (v + faster) / 2, faster, t + TICK
         if t > limit:
-            return f"after {t:.1f} s the car is at s = {s:.1f} m: the end is not reached in time"
+            return (
+                f"after {t:.1f} s the car is at s = {s:.1f} m: the end is not reached in time; use"
+                " all of the grip on the straights"
+            )
     allowed = 1.08 * _least_lap(p)
     if t > allowed:
         return f"it takes {t:.2f} s; {allowed:.2f} s are allowed: brake later, or bend faster"
@@ -254,6 +258,10 @@ EXERCISES = (
             Slip(
                 "what the bend takes is k z; square all of it",
                 lambda p: _step(p, 2, lambda a, k, z: np.sqrt(a**2 - k * z**2)),
+            ),
+            Slip(
+                "two mistakes are left: what z gains over ds, and what the bend takes",
+                lambda p: _step(p, 1, lambda a, k, z: np.sqrt(a**2 - k * z**2)),
             ),
             Slip(
                 "the two accelerations are at right angles: they add as squares",
