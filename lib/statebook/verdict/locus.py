@@ -165,6 +165,7 @@ def eigenvalue_locus(
     walk = _Walk(Followed(model, (name,), x0, u0, dt, t, trim), name)
     samples = walk.along(values)
     crossings = walk.crossings(samples)
+    walk.followed.warn()
     wanted = set(values.tolist())
     asked = [sample for sample in samples if sample.p in wanted]
     x, u = (
