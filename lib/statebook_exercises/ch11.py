@@ -132,7 +132,7 @@ def _leaning(rng: np.random.Generator) -> dict[str, float]:
     return {"m": size["m"], "L": size["L"], "lean": round(float(rng.uniform(0.75, 1.1)), 2)}
 
 
-_OUTWARDS = "it falls outwards at once: pushed the wrong way"
+_OUTWARDS = "it falls outwards at once: it needs a push towards the top"
 _BACK = "it comes back towards the top, but not far enough, and falls again"
 _OVER = "it comes back so fast that it goes over to the other side and falls there"
 

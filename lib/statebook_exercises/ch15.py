@@ -104,13 +104,15 @@ def _judge_ramps(answer: Any, p: Parameters) -> str:
     way = v * (up / 2 + cruise + down / 2)
     if abs(way - p.d) > 0.002 * p.d:
         return (
-            f"it stops after {way:.4g} m instead of {p.d:g} m: a ramp is half as long as a cruise"
+            f"it stops after {way:.4g} m instead of {p.d:g} m: on a ramp the mean speed is half"
+            " the top speed"
         )
     best = float(_ramps(p, p.v_max)[1:].sum())
     took = up + cruise + down
     if took > 1.01 * best:
         return (
-            f"it takes {took:.4g} s, and 1 % above the least time is allowed: are both ramps steep?"
+            f"it takes {took:.4g} s, and 1 % above the least time is allowed: does it reach the"
+            " speed limit, and are both ramps as steep as they may be?"
         )
     return ""
 
@@ -284,7 +286,7 @@ EXERCISES = (
         lambda p: _ramps(p, p.v_max),
         (
             Slip(
-                "a ramp is half as long as a cruise",
+                "on a ramp the mean speed is half",
                 lambda p: [p.v_max, p.v_max / p.engine, p.d / p.v_max, p.v_max / p.brake],
             ),
             Slip(
@@ -298,7 +300,7 @@ EXERCISES = (
             ),
             Slip("is faster than the limit", lambda p: _ramps(p, 1.05 * p.v_max)),
             Slip(
-                "are both ramps steep",
+                "does it reach the speed limit",
                 lambda p: [
                     p.v_max,
                     p.v_max / p.engine,
@@ -306,7 +308,7 @@ EXERCISES = (
                     p.v_max / p.engine,
                 ],
             ),
-            Slip("are both ramps steep", lambda p: _ramps(p, 0.8 * p.v_max)),
+            Slip("does it reach the speed limit", lambda p: _ramps(p, 0.8 * p.v_max)),
             Slip("the brakes hold", lambda p: [p.v_max, p.v_max / p.engine, 1.0, 0.1]),
             Slip("must be positive", lambda p: [p.v_max, 1.0, -1.0, 1.0]),
         ),

@@ -188,7 +188,10 @@ def _judge_pose(answer: Any, p: Parameters) -> str:
     hand = REACHER.positions(answer)[1]
     off = float(np.hypot(hand[0] - p.x, hand[1] - p.y))
     if off > 0.02:
-        return f"the hand is {off:.3g} m away from the point; 0.02 m are allowed"
+        return (
+            f"the hand is {off:.3g} m away from the point; 0.02 m are allowed. The second angle"
+            " counts from the first link"
+        )
     took = _time_through(p, answer)
     least = _time_through(p, _elbow(p, p.side))
     if took > 1.1 * least:
