@@ -88,6 +88,7 @@ def _off_track(run: sb.Trajectory, p: Parameters, samples: int | None = None) ->
 
 
 _FALLS = "the pole falls"
+_FRAIL = "the error is not made up for"
 
 
 def _judge_catch(answer: Any, p: Parameters) -> str:
@@ -179,7 +180,8 @@ def _rubric(answer: Any, p: Parameters) -> Rubric:
         other.L *= 1 + length * p.length_error / 100
         tried = _run(other, BOTTOM, law, LONG)
         name = f"so too with a mass of {other.m_pole:.3f} kg and a length of {other.L:.3f} m"
-        others.append((1, name, _falls(tried) or _off_track(tried, BENCH)))
+        trouble = _falls(tried) or _off_track(tried, BENCH)
+        others.append((1, name, trouble and f"{_FRAIL}: {trouble}"))
     fallen = _falls(run)
     idle = fallen and "that counts where the pole stands"
     rows = (
@@ -270,7 +272,7 @@ EXERCISES = (
             Slip("the pole is 3.14 rad", lambda p: lambda x, t: 0.0),
             Slip("the limit is 8 N", lambda p: lambda x, t: 9.0 if t < 0.1 else 0.0),
             Slip("the track ends at 0.7 m", lambda p: swing_up(BENCH, pump=5.0, spring=0.0)),
-            Slip("so too with a mass of", _replayed),
+            Slip(_FRAIL, _replayed),
         ),
         points=10,
         judge=_rubric,
