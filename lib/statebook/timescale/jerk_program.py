@@ -15,7 +15,7 @@ import scipy
 
 from statebook.errors import InfeasiblePathError
 from statebook.timescale.grid import Grid
-from statebook.timescale.limits import Limit, polygon
+from statebook.timescale.limits import Limit
 
 _STEPS = 10  # times that rows are added, at most
 _LOOK = (0.0, 0.5, 1.0)  # where in an interval limits are asked for
@@ -104,22 +104,10 @@ def _rows(
     """Yield the rows of all limits at a fraction z of each interval, around a motion."""
     at, margin = np.array([z]), margin[:, None]
     for limit in task.limits:
-        a, b, c = limit.terms(grid, at, np.maximum(x[:-1], x[1:]))
-        if limit.squared:
-            bound = np.broadcast_to(limit.squared_bounds(grid, at), b.shape)[0]
-            room = np.broadcast_to(1 - margin - limit.margin, bound.shape)
-            yield _Rows(z, 0.0, np.zeros_like(b[0]), b[0] / bound, room, limit, "upper")
-            continue
-        lower, upper = limit.bounds(grid, at)
-        assert a is not None
-        if limit.norm:
-            a, b = polygon(a, b)
-            lower = np.full_like(upper, -np.inf)
-        c = np.zeros_like(b) if c is None else c
-        for side, sign, bound in (("upper", 1, upper), ("lower", -1, lower)):
-            room = np.broadcast_to(sign * (bound - c) / limit.scale - limit.room(grid), b.shape)[0]
-            factor = sign / limit.scale
-            yield _Rows(z, 0.0, factor * a[0], factor * b[0], room - margin, limit, side)
+        a, b, lower, upper = (part[0] for part in limit.inequalities(grid, at))
+        room = np.broadcast_to(limit.room(grid), (1, *b.shape))[0] + margin
+        yield _Rows(z, 0.0, a, b, upper - room, limit, "upper")
+        yield _Rows(z, 0.0, -a, -b, -lower - room, limit, "lower")
     p1, p2, p3 = (grid.path(at, k)[0] for k in (1, 2, 3))
     last = x[:-1] + grid.h * (2 * z * u[:-1] + z * z * (u[1:] - u[:-1]))
     last = np.maximum(last, np.minimum(x[:-1], x[1:]) / 4)[:, None]
@@ -320,9 +308,9 @@ def _solve(
     hessian = scipy.sparse.diags(quadratic).tocsc()
     result = clarabel.DefaultSolver(hessian, linear, matrix, bound, cones, settings).solve()
     dual = np.array(result.z)
-    if str(result.status) not in ("Solved", "AlmostSolved", "InsufficientProgress"):
-        return None, dual
     y = np.array(result.x)
+    if "Infeasible" in str(result.status) or not np.isfinite(y).all():
+        return None, dual
     equations = matrix[:equalities]
     normal = scipy.sparse.linalg.splu((equations @ equations.T).tocsc())
     for _ in range(2):

@@ -280,7 +280,8 @@ def _maxima(
 ) -> tuple[np.ndarray, list[tuple[int, float]]]:
     """Return the largest use of each row, and the interval and the fraction of it where it is."""
     transform, z = partial(bernstein.along, bernstein.from_values(len(y) - 1)), warp(y)
-    values = limit.values(profile.grid, z, profile.u(z), profile.x(z))
+    a, b, _ = limit.terms(profile.grid, z)
+    values = a * profile.u(z)[:, :, None] + b * profile.x(z)[:, :, None]
     lower, upper = limit.bounds(profile.grid, z)
     if limit.norm:
         values = (values**2).sum(axis=2, keepdims=True)

@@ -74,16 +74,15 @@ def _block_rows(
         degree = limit.degree(grid)
         z = bernstein.nodes(degree)
         to_bernstein = bernstein.from_values(degree)
-        a, b, c = limit.terms(grid, z, scale)
+        a, b, c = limit.terms(grid, z)
         fraction = z[:, None]
         rho = curvature / 2
         # x(z) = scale (x x̂ + w ŵ) and s'' = scale (dx x̂ + dw ŵ)/(2 h), coefficients by z:
         w = b * (scale * (fraction - rho * fraction * (1 - fraction)))[:, :, None]
         x = b * (scale * (1 - 2 * rho * fraction * (1 - fraction)))[:, :, None]
-        if a is not None:
-            rate = scale / (2 * grid.h)
-            w += a * (rate * (1 - rho * (1 - 2 * fraction)))[:, :, None]
-            x += a * (rate * (-2 * rho * (1 - 2 * fraction)))[:, :, None]
+        rate = scale / (2 * grid.h)
+        w += a * (rate * (1 - rho * (1 - 2 * fraction)))[:, :, None]
+        x += a * (rate * (-2 * rho * (1 - 2 * fraction)))[:, :, None]
         w, x = bernstein.along(to_bernstein, w), bernstein.along(to_bernstein, x)
         transform = partial(bernstein.along, to_bernstein)
         labelled = list(range(w.shape[2]))
@@ -101,9 +100,9 @@ def _block_rows(
         room = limit.room(grid)
         for side, sign, bound in bounds:
             size = limit.scale
-            if c is None:
+            if np.ndim(c) == 0:
                 size = np.abs(bound).max(axis=0) if bound.ndim == 3 else np.abs(bound)
-            level = 0.0 if c is None else transform(c)
+            level = transform(c) if np.ndim(c) else 0.0
             with np.errstate(invalid="ignore"):
                 constant = sign * (level - bound) / size
             constant = np.where(np.isnan(constant), -1.0, constant) + room

@@ -198,12 +198,10 @@ def _require_bounded(limits: Sequence[Limit], grid: Grid) -> None:
     z = np.array([0.25, 0.75])
     bounded = np.zeros((2, len(grid.h)), dtype=bool)
     for limit in limits:
-        a, _, _ = limit.terms(grid, z, np.ones(len(grid.h)))
-        if a is not None:
-            ends = (limit.lower, limit.upper)
-            lower, upper = (np.isfinite(bound) | limit.norm for bound in ends)
-            for i, (up, down) in enumerate(((upper, lower), (lower, upper))):
-                bounded[i] |= (np.where(a > 0, up, down) & (a != 0)).any(axis=(0, 2))
+        a, _, lower, upper = limit.inequalities(grid, z)
+        up, down = np.isfinite(upper), np.isfinite(lower) | limit.norm
+        for i, (ahead, back) in enumerate(((up, down), (down, up))):
+            bounded[i] |= (np.where(a > 0, ahead, back) & (a != 0)).any(axis=(0, 2))
     if not bounded.all():
         raise ValueError(
             "the limits leave the acceleration along the path unbounded at s = "
