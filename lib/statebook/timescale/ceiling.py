@@ -13,7 +13,6 @@ every motion, and the time it takes below every time.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -42,21 +41,15 @@ _ANY = 1e150  # stands for no bound
 _BEND = 1.2  # between nodes bounds are taken for quadratics, bent by this much more
 
 
-@dataclass(frozen=True, eq=False)
-class Ceiling:
-    """Bounds on every motion: s'^2 at both ends of the intervals, (2, N), and the times (N,).
+class Ceiling(NamedTuple):
+    """Bounds on every motion: s'^2 at both ends of the intervals, (2, N), and the duration.
 
     Where there can be no motion, it is not possible.
     """
 
     x: np.ndarray
-    times: np.ndarray
+    duration: float
     possible: bool
-
-    @property
-    def duration(self) -> float:
-        """No motion takes less."""
-        return float(self.times.sum())
 
 
 @_QUIET
@@ -69,16 +62,13 @@ def ceiling(limits: Sequence[Limit], grid: Grid) -> Ceiling:
     grid : Grid
         The finer it is, the sharper is the bound.
     """
-    blocks = [
-        slice(first, min(first + _BLOCK, len(grid.h))) for first in range(0, len(grid.h), _BLOCK)
-    ]
+    blocks = [slice(first, first + _BLOCK) for first in range(0, len(grid.h), _BLOCK)]
     parts = [_changes_and_caps(limits, grid.part(block)) for block in blocks]
     x, possible = _highest_motion(parts, grid.sections)
-    times = [
-        _least_times(*part, x[:, block], grid.h[block])
-        for part, block in zip(parts, blocks, strict=True)
-    ]
-    return Ceiling(x, np.concatenate(times), possible)
+    duration = 0.0
+    for part, block in zip(parts, blocks, strict=True):
+        duration += float(_least_times(*part, x[:, block], grid.h[block]).sum())
+    return Ceiling(x, duration, possible)
 
 
 @_QUIET
@@ -289,11 +279,7 @@ def _least_times(changes: Changes, cap: np.ndarray, x: np.ndarray, h: np.ndarray
     back[-1, turn] = np.inf
     alone = _time_of_rows(ahead, push, 1), _time_of_rows(back, push, -1)
     bounds = np.concatenate(
-        [
-            np.where(m > 0, ahead / m, np.inf),
-            np.where(m > 0, back / m, np.inf),
-            cap[:, :, None],
-        ],
+        [np.where(m > 0, ahead / m, np.inf), np.where(m > 0, back / m, np.inf), cap[:, :, None]],
         axis=2,
     )
     beyond = turn & ~np.isfinite(ahead[:-1]) & ~np.isfinite(back[1:])

@@ -15,7 +15,7 @@ import scipy
 
 from statebook.errors import InfeasiblePathError
 from statebook.timescale.grid import Grid
-from statebook.timescale.limits import Limit
+from statebook.timescale.limits import Limit, blocked
 
 _STEPS = 10  # times that rows are added, at most
 _LOOK = (0.0, 0.5, 1.0)  # where in an interval limits are asked for
@@ -198,12 +198,8 @@ def improved(
 
 
 def infeasible(name: str, s: float) -> InfeasiblePathError:
-    return InfeasiblePathError(
-        f"the path cannot be driven within the limits: at s = {s:.6g} the {name} stands in the way "
-        "of the speeds given for its ends. Raise that limit, or lower those speeds",
-        constraint=name,
-        s=s,
-    )
+    why = "stands in the way of the speeds given for its ends. Raise that limit, or lower those"
+    return blocked(name, s, f"{why} speeds")
 
 
 def _solve(

@@ -32,10 +32,7 @@ _ATTEMPTS = 5  # to get rid of what is left over a limit
 
 
 def limit_jerk(
-    limits: Sequence[Limit],
-    bounds: tuple[np.ndarray, np.ndarray],
-    free: Profile,
-    tolerance: float,
+    limits: Sequence[Limit], bounds: tuple[np.ndarray, np.ndarray], free: Profile, tolerance: float
 ) -> tuple[JerkProfile, float]:
     """Find the fastest motion that keeps limits on jerk too.
 
@@ -105,11 +102,7 @@ def _order(path: Grid, at_end: bool) -> int:
 
 
 def _rest_piece(
-    task: Task,
-    path: Grid,
-    at_end: bool,
-    order: int,
-    length: float,
+    task: Task, path: Grid, at_end: bool, order: int, length: float
 ) -> tuple[float, float]:
     """Choose the length of the piece next to a rest, and the largest s'^2 at its inner end.
 
@@ -251,16 +244,9 @@ def _profile(task: Task, stretch: Stretch, motion: Motion) -> JerkProfile:
     rest = np.zeros(len(x) - 1, dtype=int)
     rest[0], rest[-1] = stretch.order[0], -stretch.order[1]
     bulge = np.where(rest == 0, np.diff(motion.r) * np.diff(motion.u), 0.0)
-    return JerkProfile(
-        stretch.grid(motion.r),
-        x[:-1],
-        x[1:],
-        2 * bulge / (x[:-1] + x[1:]),
-        np.zeros((2, len(rest), 2)),
-        rest=rest,
-        lower=task.lower,
-        upper=task.upper,
-    )
+    grid, sets = stretch.grid(motion.r), np.zeros((2, len(rest), 2))
+    curvature = 2 * bulge / (x[:-1] + x[1:])
+    return JerkProfile(grid, x[:-1], x[1:], curvature, sets, rest, task.lower, task.upper)
 
 
 def _joined(profiles: list[JerkProfile], free: Profile) -> JerkProfile:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from statebook.errors import InfeasiblePathError
 from statebook.timescale.bounds import read_bounds
 from statebook.timescale.curves import on_grid
 from statebook.timescale.grid import Grid
@@ -218,6 +219,12 @@ class AccelerationNormLimit(AccelerationLimit):
 
     def values(self, grid: Grid, z: np.ndarray, u: np.ndarray, x: np.ndarray) -> np.ndarray:
         return np.linalg.norm(super().values(grid, z, u, x), axis=2, keepdims=True)
+
+
+def blocked(name: str, s: float, why: str) -> InfeasiblePathError:
+    """Return the error that names a limit and a place."""
+    text = f"the path cannot be driven within the limits: at s = {s:.6g} the {name} {why}"
+    return InfeasiblePathError(text, constraint=name, s=s)
 
 
 def polygon(w: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

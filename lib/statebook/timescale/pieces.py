@@ -141,17 +141,8 @@ def _joined(
     smooth &= ~rest[1, :-1] & ~rest[0, 1:]
     ratio[~smooth | (np.abs(ratio - 1) <= _CORNER)] = 1.0
     stretch = _running_product(ratio, smooth)
-    return Pieces(
-        coefficients=c / stretch[:, None] ** powers,
-        width=width * stretch,
-        source=source,
-        begin=begin,
-        origin=origin,
-        stretch=stretch,
-        moving=moving,
-        rest=rest,
-        smooth=smooth,
-    )
+    c, width = c / stretch[:, None] ** powers, width * stretch
+    return Pieces(c, width, source, begin, origin, stretch, moving, rest, smooth)
 
 
 def _running_product(ratio: np.ndarray, smooth: np.ndarray) -> np.ndarray:
