@@ -191,14 +191,13 @@ class Limit(ABC):
             return 1 + np.maximum(over, under), grid.h * (wanted[2] - wanted[0])
 
     def squared_bounds(
-        self, grid: Grid, z: np.ndarray, transform: Callable[..., Any] = np.asarray
+        self, grid: Grid, z: np.ndarray, transform: Callable[..., Any]
     ) -> np.ndarray:
         """Return the bounds on a square at fractions z of the intervals.
 
-        They broadcast to (K, N, R). Given a transform to Bernstein coefficients they are these.
+        They broadcast to what a transform makes of (K, N, R): Bernstein coefficients, for instance.
         """
-        upper = self.bounds(grid, z)[1] ** 2
-        return upper if upper.ndim == 1 else np.asarray(transform(upper))
+        return np.asarray(transform(self.bounds(grid, z)[1] ** 2))
 
 
 class AccelerationLimit(Limit):
@@ -252,11 +251,9 @@ class VelocityLimit(Limit):
         return self.motion(grid, z, 1) * np.sqrt(x)[:, :, None]
 
     def squared_bounds(
-        self, grid: Grid, z: np.ndarray, transform: Callable[..., Any] = np.asarray
+        self, grid: Grid, z: np.ndarray, transform: Callable[..., Any]
     ) -> np.ndarray:
-        lower, upper = (bound**2 for bound in self.bounds(grid, z))
-        if upper.ndim > 1:
-            lower, upper = transform(lower), transform(upper)
+        lower, upper = (transform(bound**2) for bound in self.bounds(grid, z))
         if np.array_equal(upper, lower):
             return np.asarray(upper)
         slope = transform(self.motion(grid, z, 1))
