@@ -69,7 +69,7 @@ def maxima(
     """
     count, families = coefficients.shape[1:]
     boxes = coefficients.reshape(len(coefficients), -1)
-    positive = np.ones((1, boxes.shape[1])) if sign is None else sign.reshape(len(sign), -1)
+    positive = None if sign is None else sign.reshape(len(sign), -1)
     member, family = np.divmod(np.arange(count * families), families)
     start, width = np.zeros(boxes.shape[1]), 1.0
     value = np.full(families, -np.inf)
@@ -78,7 +78,9 @@ def maxima(
     left, right = _halves(len(boxes) - 1)
     for _ in range(_LEVELS):
         for end in (0, -1):
-            reached = np.where(positive[end] > 0, boxes[end], -np.inf)
+            reached = boxes[end]
+            if positive is not None:
+                reached = np.where(positive[end] > 0, reached, -np.inf)
             if width == 1.0:
                 best = reached.reshape(count, families).argmax(axis=0) * families
                 best += np.arange(families)
@@ -91,13 +93,15 @@ def maxima(
             place[row] = start[best] + (width if end else 0.0)
         floor = np.maximum(value, -np.finfo(float).max)[family]
         keep = boxes.max(axis=0) > floor + _ROUNDING * np.minimum(np.abs(floor), 1e300)
-        keep &= positive.max(axis=0) > 0
+        if positive is not None:
+            keep &= positive.max(axis=0) > 0
         if not keep.any():
             break
         boxes, member, family, start = boxes[:, keep], member[keep], family[keep], start[keep]
         boxes = np.concatenate([left @ boxes, right @ boxes], axis=1)
-        halves = _halves(len(positive) - 1)
-        positive = np.concatenate([half @ positive[:, keep] for half in halves], axis=1)
+        if positive is not None:
+            halves = _halves(len(positive) - 1)
+            positive = np.concatenate([half @ positive[:, keep] for half in halves], axis=1)
         width /= 2
         member, family = np.tile(member, 2), np.tile(family, 2)
         start = np.concatenate([start, start + width])

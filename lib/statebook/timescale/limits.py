@@ -138,6 +138,8 @@ class Limit(ABC):
         """Return the part of the bounds that values (K, N, R) of the quantity use."""
         lowest, highest = self.bounds(grid, z)
         around = (lowest < 0) & (highest > 0)
+        if around.all():
+            return np.maximum(value / highest, value / lowest)
         upper, lower = np.where(around, highest, 1.0), np.where(around, lowest, -1.0)
         beyond = np.maximum(value - highest, lowest - value) / self.scale
         return np.where(around, np.maximum(value / upper, value / lower), 1 + beyond)
