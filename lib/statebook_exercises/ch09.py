@@ -9,6 +9,7 @@ import numpy as np
 import scipy
 
 from statebook.grading.exercise import Exercise, Parameters, Slip
+from statebook_exercises.answers import beyond
 
 BACK, FRONT, HALF_WIDTH = 0.9, 0.8, 0.9  # the body beyond the axles, and its half width [m]
 SPARE = 2.0  # degrees that the solution's steering stays below the limit
@@ -98,7 +99,7 @@ def _judge_rounds(answer: Any, p: Parameters) -> str:
     h, n = map(float, answer)
     if n < 1 or n != round(n) or n > 1000:
         return f"the number of rounds must be a whole one, from 1 to 1000, got {n:g}"
-    if not 0 < h <= p.room:
+    if h <= 0 or beyond(h, p.room):
         return f"a move of {h:g} m is none for a room of {p.room:g} m"
     step = n * _gain(h, p)
     if abs(step - p.step) > 0.01 * p.step:
@@ -155,8 +156,8 @@ def _poses(pieces: np.ndarray, p: Parameters) -> np.ndarray:
     return np.concatenate(poses, axis=1)
 
 
-def _touches(poses: np.ndarray, p: Parameters) -> bool:
-    """Whether the body's outline comes into one of the two parked cars."""
+def _touches(poses: np.ndarray, p: Parameters) -> str:
+    """Return which of the two parked cars the body's outline comes into, or nothing."""
     along, across = np.linspace(-BACK, p.L + FRONT, 41), np.linspace(-HALF_WIDTH, HALF_WIDTH, 19)
     sides = [np.stack([along, 0 * along + y]) for y in (-HALF_WIDTH, HALF_WIDTH)]
     ends = [np.stack([0 * across + x, across]) for x in (-BACK, p.L + FRONT)]
@@ -165,16 +166,20 @@ def _touches(poses: np.ndarray, p: Parameters) -> bool:
     x, y = poses[0] + c * body[0] - s * body[1], poses[1] + s * body[0] + c * body[1]
     length = BACK + p.L + FRONT
     beside = np.abs(y + p.step) < HALF_WIDTH
-    front = (x > p.ahead) & (x < p.ahead + length)
+    if (beside & (x > p.ahead) & (x < p.ahead + length)).any():
+        return "in front"
     rear = (x < -BACK - p.behind) & (x > -BACK - p.behind - length)
-    return bool((beside & (front | rear)).any())
+    return "behind" if (beside & rear).any() else ""
 
 
 def _judge_parking(answer: Any, p: Parameters) -> str:
     pieces = np.asarray(answer, dtype=float)
     most = float(np.degrees(np.abs(pieces[:, 1]).max()))
-    if most > p.degrees:
-        return f"the wheels turn by {most:.3g} degrees, and the limit is {p.degrees:g} degrees"
+    if beyond(most, p.degrees):
+        also = ": steering angles are asked for in radians" if most > 90 else ""
+        return (
+            f"the wheels turn by {most:.3g} degrees, and the limit is {p.degrees:g} degrees{also}"
+        )
     if np.abs(pieces[:, 0]).sum() > 60:
         return f"{np.abs(pieces[:, 0]).sum():.3g} m of driving: 60 m are allowed"
     poses = _poses(pieces, p)
@@ -183,8 +188,10 @@ def _judge_parking(answer: Any, p: Parameters) -> str:
         return (
             f"the car ends at x = {x:.2f} m, y = {y:.2f} m, turned by {theta:.2f} rad; the goal is"
             f" (0, {-p.step:g}, 0), to 5 cm and 0.03 rad"
+            + (": phi > 0 is to the left, and backwards too" if y > 0.05 else "")
         )
-    return "the body touches a parked car on its way" if _touches(poses, p) else ""
+    where = _touches(poses, p)
+    return f"the body touches a parked car on its way, the one {where}" if where else ""
 
 
 EXERCISES = (

@@ -174,7 +174,8 @@ def compare(
     if wanted.ndim == 2 and wanted.shape == wanted.T.shape and _close(value.T, wanted, task.rtol):
         return "is it transposed?"
     for hint, factor in _FACTORS.items():
-        if _close(value, factor * wanted, task.rtol):
+        # A figure may be read off roughly; a factor is not one by coincidence.
+        if _close(value, factor * wanted, min(task.rtol, 0.02)):
             return hint.strip()
     if _close(np.abs(value), np.abs(wanted), task.rtol):
         return "look at the signs"
@@ -187,8 +188,10 @@ def _not_like(value: np.ndarray, wanted: np.ndarray, answer: Any) -> str:
         return f"the answer must be {kind(wanted)}, got {kind(answer)}"
     if value.shape != wanted.shape:
         turned = wanted.ndim == 2 and value.shape == wanted.shape[::-1]
-        also = "; is it transposed?" if turned else ""
-        return f"the answer must have shape {wanted.shape}, got {value.shape}{also}"
+        numbers = {0: "one number", 1: f"{wanted.size} numbers in a row"}
+        also = numbers.get(wanted.ndim, " rows of ".join(map(str, wanted.shape)) + " numbers")
+        also = "is it transposed?" if turned else f"give {also}"
+        return f"the answer must have shape {wanted.shape}, got {value.shape}: {also}"
     return "" if np.isfinite(value).all() else "the answer must be finite"
 
 
