@@ -7,10 +7,11 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
+from statebook import _validate
 from statebook.control_trajectory import ControlTrajectory
 from statebook.dense_output import DenseOutput, Steps
 from statebook.errors import DivergenceError
-from statebook.policies import Control, Stretch, held, of_plan
+from statebook.policies import Control, Stretch, held
 from statebook.solvers import SOLVERS
 from statebook.stepping import Flow, Solver, StoppedError, fixed_steps, iterate
 from statebook.systems import System
@@ -43,7 +44,7 @@ def through(
     stop = _attempt(work)
     with np.errstate(all="ignore"):
         dense, felt = steps.settle(), control()
-    states, times = _samples(steps)
+    times, states = steps.taken_samples()
     beyond = ~np.isfinite(states.reshape(-1, len(times))).all(axis=0)
     if beyond.any():  # within the last step, or where an interpolation asks outside the domain
         states, times = states[..., : np.argmax(beyond)], times[: np.argmax(beyond)]
@@ -54,9 +55,8 @@ def through(
         with np.errstate(all="ignore"):
             at = times[:-1] if per_interval else times
             controls = felt.values(states, at)
-    run = _trajectory(system, solver, states, times, controls, stop, dense, felt.plan)
-    if stop is not None:
-        raise _divergence(system, stop, run, steps)
+    samples = (times, states, controls)
+    run = _finished(system, solver, steps, samples, stop, dense, felt.plan)
     if felt.is_policy and controls is not None and dense is not None and dense.curve:
         with np.errstate(all="ignore"):
             _warn_of_contradiction(run, dense, controls, flow, solver)
@@ -81,22 +81,17 @@ def iterated(
     flow = Flow(system, batch=steps.state.ndim == 2)
     applied: list[np.ndarray] = []
     stop = _attempt(lambda: iterate(flow, steps, control.policy, dt, lag, before, applied))
-    states, times = _samples(steps)
+    times, states = steps.taken_samples()
     controls = plan = None
     if system.m:
         at = times[:-1] if per_interval else times
         picked = np.round((at - start) / dt).astype(int)
         controls = np.moveaxis(np.array(applied)[picked], 0, -1)
-        held = np.array(applied[: round((times[-1] - start) / dt)]).reshape(
-            -1, controls[..., 0].size
-        )
-        if len(held) and np.isfinite(held).all():
-            breaks = np.array([tick(start, dt, k) for k in range(len(held) + 1)])
-            plan = of_plan(ControlTrajectory(breaks, held[None]), system.m, control.batch).plan
-    run = _trajectory(system, solver, states, times, controls, stop, None, plan)
-    if stop is not None:
-        raise _divergence(system, stop, run, steps)
-    return run
+        count = round((times[-1] - start) / dt)
+        if count and np.isfinite(applied[:count]).all():
+            breaks = np.array([tick(start, dt, k) for k in range(count + 1)])
+            plan = ControlTrajectory(breaks, np.reshape(applied[:count], (1, count, -1)))
+    return _finished(system, solver, steps, (times, states, controls), stop, None, plan)
 
 
 def may_vary(system: System) -> bool:
@@ -115,48 +110,35 @@ def _attempt(work: Callable[[], object]) -> StoppedError | None:
     return None
 
 
-def _samples(steps: Steps) -> tuple[np.ndarray, np.ndarray]:
-    states = np.concatenate(steps.samples, axis=-1)
-    return states, steps.times[: states.shape[-1]]
-
-
-def _trajectory(
+def _finished(
     system: System,
     solver: Solver,
-    states: np.ndarray,
-    times: np.ndarray,
-    controls: np.ndarray | None,
+    steps: Steps,
+    samples: tuple[np.ndarray, np.ndarray, np.ndarray | None],
     stop: StoppedError | None,
     dense: DenseOutput | None,
     plan: ControlTrajectory | None,
 ) -> Trajectory:
+    """The trajectory of what was taken; raised as a divergence if the run stopped."""
+    times, states, controls = samples
     if controls is not None and not np.isfinite(controls).all():
         if stop is None:
             k = int(np.argmin(np.isfinite(controls).reshape(-1, controls.shape[-1]).all(axis=0)))
             raise ValueError(f"u(x, t) must be finite, got {controls[..., k]} at t = {times[k]:g}")
-        controls = None  # the control is what stopped the simulation
-    samples = Trajectory(
-        times,
-        states,
-        controls,
-        state_labels=system.states,
-        input_labels=None if controls is None else system.inputs,
-        events=tuple(solver.found),
-    )
-    return of_run(samples, dense, None if controls is None else plan)
-
-
-def _divergence(
-    system: System, stop: StoppedError, run: Trajectory, steps: Steps
-) -> DivergenceError:
-    return DivergenceError(
-        f"simulation of {system.name} stopped at t = {stop.time:.6g}, x = "
-        f"{np.array2string(stop.state, precision=4, threshold=8)}: {stop}; "
-        f"{len(run.times)} of {len(steps.times)} samples are in .trajectory",
-        time=stop.time,
-        state=stop.state,
-        trajectory=run,
-    )
+        controls = plan = None  # the control is what stopped the simulation
+    labels = system.inputs if controls is not None else None
+    found = tuple(solver.found)
+    run = of_run(Trajectory(times, states, controls, (), system.states, labels, found), dense, plan)
+    if stop is not None:
+        raise DivergenceError(
+            f"simulation of {system.name} stopped at t = {stop.time:.6g}, x = "
+            f"{_validate.brief(stop.state)}: {stop}; "
+            f"{len(run.times)} of {len(steps.times)} samples are in .trajectory",
+            time=stop.time,
+            state=stop.state,
+            trajectory=run,
+        )
+    return run
 
 
 def _warn_of_contradiction(

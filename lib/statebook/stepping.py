@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -195,7 +196,8 @@ class Solver:
     max_steps: float | None
     events: list[Watch] = field(default_factory=list)
     found: list[Event] = field(default_factory=list)
-    _times: np.ndarray | None = None
+    _times: list[float] = field(default_factory=list)
+    _gaps: list[float] = field(default_factory=list)
     _pace: float = 0.0
 
     @property
@@ -206,21 +208,17 @@ class Solver:
     def stay_within(self, times: np.ndarray) -> np.ndarray:
         """Let no step be longer than the distance of the times there; return its switches."""
         gaps = np.diff(times)
-        if len(gaps) and np.ptp(gaps) <= 1e-9 * gaps[0]:
-            self.max_step = min(self.max_step, float(gaps.max()))
-        elif len(gaps):
-            self._times = times
-            if self.method == "LSODA":  # its longest step is fixed from start to start
-                return times
-        return times[:0]
+        self._times, self._gaps = times.tolist(), [*gaps.tolist(), *gaps[-1:].tolist()]
+        # LSODA's longest step is fixed from start to start.
+        uneven = self.method == "LSODA" and len(gaps) and np.ptp(gaps) > 1e-9 * gaps[0]
+        return times if uneven else times[:0]
 
     def _longest(self, t: float) -> float:
         """The longest step from a time."""
-        if self._times is None:
+        if not self._gaps:
             return self.max_step
-        k = int(np.searchsorted(self._times[:-1], t, side="right")) - 1
-        here, *after = np.diff(self._times[k : k + 3]).tolist()
-        return min(self.max_step, here, max(self._times[k + 1] - t, *after or [here]))
+        k = bisect.bisect_right(self._times, t, hi=len(self._times) - 1) - 1
+        return min(self.max_step, self._gaps[k], max(self._times[k + 1] - t, self._gaps[k + 1]))
 
     def run(self, flow: Flow, steps: Steps, stretches: Iterable[Stretch], last: float) -> None:
         """Go through the stretches, to the last time or a terminal event."""
@@ -236,9 +234,6 @@ class Solver:
             def fast(t: float, y: np.ndarray, policy: Policy = policy) -> np.ndarray:
                 return flow(y.reshape(shape), policy, t).ravel() if batch else flow(y, policy, t)
 
-            def explain(t: float, y: np.ndarray, policy: Policy = policy) -> None:
-                flow.explain(y.reshape(shape), policy, t)
-
             flow.trouble = ""
             y = self._flat(steps.state)
             slope = rate(start, y)
@@ -249,20 +244,14 @@ class Solver:
                 solver.f, solver.t_bound, solver.status = slope, end, "running"
                 solver.h_abs = max(solver.h_abs, longest)
             else:
-                solver = start_solver(
-                    self.method,
-                    rate,
-                    start,
-                    y,
-                    end,
-                    columns=y.size // len(steps.state),
-                    rtol=self.rtol,
-                    atol=self._flat(atol),
-                    max_step=self._longest(start),
-                    first_step=min(longest, end - start) or None,
-                )
+                options = {
+                    "max_step": self._longest(start),
+                    "first_step": min(longest, end - start) or None,
+                }
+                problem = (self.method, rate, start, y, end, y.size // len(steps.state))
+                solver = start_solver(*problem, self.rtol, self._flat(atol), options)
             if self.by_rows:  # their steps copy at once, and ask for the trouble
-                solver.fun, solver.explain = fast, explain
+                solver.fun, solver.explain = fast, rate
             longest = 0.0
             while solver.status == "running":
                 flow.trouble = ""
@@ -286,7 +275,8 @@ class Solver:
         """Look for events in the last step; whether a terminal one ended the run."""
         located = []
         # At the samples too, or a step could pass zero and return.
-        for t in [*steps.times_between(start, steps.time), steps.time]:
+        inside = steps.times[(steps.times > start) & (steps.times < steps.time)]
+        for t in [*inside.tolist(), steps.time]:
             x = steps.at(t)
             located += [(w.locate(steps.at, start, t), w) for w in self.events if w.passed(x, t)]
             start = t
