@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections import deque
+import itertools
+import math
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -44,35 +45,34 @@ class Clock:
     ) -> None:
         self._command, self._period, self._count, self._delay = command, period, count, delay
         self._m, self._batch = len(before), before.shape[1:]
-        self._waiting: deque[tuple[float, np.ndarray]] = deque()
+        self._before = before
+        self._commands: list[np.ndarray] = []
         self._times: list[float] = []
         self._values: list[np.ndarray] = []
-        self.acting = before
-        self._take(first, 0.0)
-        self._arrive(0.0)
+        self._take(first)
+        self.acting = self._acting(0.0)
 
     def sample(self, x: np.ndarray, t: float) -> np.ndarray:
         """What acts on a plant in discrete time; called at each of its samples."""
         k = round(t / self._period)
         if 0 < k < self._count and abs(t - k * self._period) <= _ROUNDING * self._period:
-            self._take(self._command(x, t), t)
-        self._arrive(t)
-        return self.acting
+            self._take(self._command(x, t))
+        return self._acting(t)
 
     def stretches(self, steps: Steps) -> Iterator[Stretch]:
         """The stretches of a plant in continuous time, each with the control that acts in it."""
         for k in range(self._count):
             start, end = tick(0.0, self._period, k), tick(0.0, self._period, k + 1)
             if k:
-                self._take(self._command(steps.state, start), start)
-            while start < end:
-                self._arrive(start)
-                slack = _ROUNDING * self._period
-                until = min([end, *(t for t, _ in self._waiting if t < end - slack)])
-                self._times.append(start)
+                self._take(self._command(steps.state, start))
+            slack = _ROUNDING * self._period
+            arrival = start + self._delay % self._period
+            inside = [arrival] if start + slack < arrival < end - slack else []
+            for a, b in itertools.pairwise([start, *inside, end]):
+                self.acting = self._acting(a)
+                self._times.append(a)
                 self._values.append(self.acting)
-                yield Stretch(start, until, held(self.acting))
-                start = until
+                yield Stretch(a, b, held(self.acting))
         self._times.append(end)
 
     def control(self) -> Control:
@@ -87,10 +87,12 @@ class Clock:
         coefficients = np.stack(values).reshape(1, len(values), -1)
         return of_plan(ControlTrajectory(np.array(times), coefficients), self._m, self._batch)
 
-    def _take(self, command: Any, t: float) -> None:
+    def _take(self, command: Any) -> None:
         value = shaped("policy(x, t)", command, self._m, self._batch).copy()
-        self._waiting.append((t + self._delay, value))
+        self._commands.append(value)
 
-    def _arrive(self, t: float) -> None:
-        while self._waiting and self._waiting[0][0] <= t + _ROUNDING * self._period:
-            self.acting = self._waiting.popleft()[1]
+    def _acting(self, t: float) -> np.ndarray:
+        """The last control that has arrived at a time."""
+        arrived = math.floor((t - self._delay) / self._period + _ROUNDING)
+        arrived = min(arrived, len(self._commands) - 1)  # at the end none is taken
+        return self._commands[arrived] if arrived >= 0 else self._before

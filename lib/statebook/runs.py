@@ -54,7 +54,11 @@ def through(
     if system.m:
         with np.errstate(all="ignore"):
             at = times[:-1] if per_interval else times
-            controls = felt.values(states, at)
+            if felt.plan is not None:
+                controls = felt.plan(at).reshape(system.m, *felt.batch, len(at))
+            else:
+                given = zip(np.moveaxis(states, -1, 0), at.tolist(), strict=False)
+                controls = np.stack([flow.control(felt.policy, *xt) for xt in given], axis=-1)
     samples = (times, states, controls)
     run = _finished(system, solver, steps, samples, stop, dense, felt.plan)
     if felt.is_policy and controls is not None and dense is not None and dense.curve:

@@ -11,10 +11,9 @@ from statebook import _validate
 from statebook.clock import Clock
 from statebook.control_trajectory import ControlTrajectory
 from statebook.dense_output import Steps
-from statebook.errors import outside_domain
 from statebook.events import watches
 from statebook.models.base import Model
-from statebook.policies import Control, as_control, as_plan, at_start, example_input, shaped
+from statebook.policies import Control, as_control, as_plan, at_start, example_input, shaped, valued
 from statebook.probes import takes_batches
 from statebook.runge_kutta import METHODS, SEMI_IMPLICIT_EULER
 from statebook.runs import iterated, may_vary, through
@@ -274,15 +273,8 @@ def _state(x0: Any) -> np.ndarray:
 
 def _as_system(system: Any, x0: np.ndarray, u: np.ndarray | None, t: float) -> System:
     """View a system as one; errors speak of u."""
-    try:
-        with np.errstate(all="ignore"):
-            known = as_system(system, x0, u, names=("x0", "u"))
-    except (ValueError, ArithmeticError) as error:
-        if not outside_domain(error):
-            raise
-        raise ValueError(
-            f"the dynamics have no value at t = {t:g}, x = {_validate.brief(x0)}: {error}"
-        ) from error
+    with valued("the dynamics have", x0, t):
+        known = as_system(system, x0, u, names=("x0", "u"))
     if known.n != len(x0):
         raise ValueError(f"x0 must have n = {known.n} rows for {known.name}, got {x0.shape}")
     if isinstance(system, Model):  # the checks of its dynamics take longer than the equations
@@ -317,15 +309,8 @@ def _control(name: str, value: Any, m: int, batch: tuple[int, ...]) -> np.ndarra
 
 def _checked(system: System, x0: np.ndarray, u: np.ndarray, t: float) -> System:
     """Check the dynamics where a run starts; a plain function in all columns of a batch."""
-    with np.errstate(all="ignore"):
-        try:
-            value = system.dynamics(x0, u, t)
-        except Exception as error:
-            if not outside_domain(error):
-                raise
-            raise ValueError(
-                f"the dynamics have no value at t = {t:g}, x = {_validate.brief(x0)}: {error}"
-            ) from error
+    with valued("the dynamics have", x0, t):
+        value = system.dynamics(x0, u, t)
     if np.iscomplexobj(value):
         raise TypeError(f"{system.name} must return real numbers for real x, got complex ones")
     plain = callable(system.source) and not hasattr(system.source, "dynamics")
