@@ -28,6 +28,7 @@ from statebook.controllers.linear import (
 )
 from statebook.equilibrium import find_equilibrium
 from statebook.errors import EquilibriumNotFoundError
+from statebook.residuals import labels_among, point
 from statebook.systems import System, as_system
 
 Measurement = Callable[[np.ndarray], np.ndarray]
@@ -110,24 +111,24 @@ class PID(Portable):
     def __post_init__(self) -> None:
         limit = None if self.limit is None else _validate.positive("limit", self.limit)
         system, measure = self._plant
-        if not self._measures(system):
-            u0 = holding_control(system, self.target, limit)
-            target, x0 = _validate.real_array("target", self.target), at_rest_at(self.target)[0]
-        else:
-            target = np.atleast_1d(_validate.real_array("target", self.target))
+        target = np.atleast_1d(_validate.real_array("target", self.target))
+        if self._measures(system):
             x0, u0 = self._equilibrium(system, target)
             require_holding(limit, u0, "the target")
+        else:
+            u0 = holding_control(system, self.target, limit)
+            x0 = at_rest_at(target)[0]
         names, shape = ("kp", "ki", "kd"), (system.m, len(target))
         gains = tuple(matrix_of(name, getattr(self, name), shape) for name in names)
         filter_time = self.filter_time
         if filter_time is not None:
-            filter_time = _validate.positive("filter_time", filter_time)
+            _validate.positive("filter_time", filter_time)
         elif self._measures(system) and gains[2].any():
             if not gains[0].any():
                 raise ValueError("filter_time is required for kd without kp: d is filtered")
             filter_time = float(np.abs(gains[2]).max() / np.abs(gains[0]).max()) / 10
-        vars(self).update(target=target, limit=limit, x0=x0, u0=u0, gains=gains)
-        vars(self).update(filter_time=filter_time)
+        found = {"target": target, "limit": limit, "x0": x0, "u0": u0, "gains": gains}
+        vars(self).update(found, filter_time=filter_time)
         loop, at_rest = self._loop(None), np.concatenate([x0, np.zeros(len(target))])
         if filter_time is not None:
             at_rest = np.concatenate([at_rest, measure(x0)])
@@ -163,34 +164,28 @@ class PID(Portable):
         if not labelled or (self.outputs is not None and set(wanted) <= set(system.states)):
             C = rows_of("outputs", wanted, system.states)
             return lambda x: C @ x
-        absent = [label for label in wanted if label not in own]
-        if absent:
-            among = (*system.states, *own)
-            raise ValueError(f"outputs must hold labels among {among}, got {absent[0]!r}")
-        index = [own.index(label) for label in wanted]
-        if hasattr(source, "C"):
-            C, D = np.asarray(source.C)[index], np.asarray(source.D)[index]
-            if D.any():
-                raise ValueError("outputs must not depend on the inputs at once: D is not 0")
-            return lambda x: C @ x
+        labels_among("outputs", wanted, (*system.states, *own))
+        index = [own.index(label) for label in labels_among("outputs", wanted, own)]
+
+        def output(x: np.ndarray, u: np.ndarray) -> np.ndarray:
+            return np.asarray(source.output(0.0, x, u))[index]
 
         def measure(x: np.ndarray) -> np.ndarray:
-            if x.ndim == 1:
-                return np.asarray(source.output(0.0, x, np.zeros(m)))[index]
-            return np.stack([measure(column) for column in x.T], axis=1)
+            columns = [output(column, np.zeros(m)) for column in x.reshape(n, -1).T]
+            return np.stack(columns, axis=1).reshape(-1, *x.shape[1:])
 
         beside = np.zeros(n) if self.x_guess is None else np.asarray(self.x_guess, dtype=float)
-        if (np.asarray(source.output(0.0, beside, np.ones(m)))[index] != measure(beside)).any():
+        if (output(beside, np.ones(m)) != measure(beside)).any():
             raise ValueError("outputs must not depend on the inputs at once")
+        if hasattr(source, "C"):
+            return partial(np.matmul, np.asarray(source.C)[index])
         return measure
 
     def _equilibrium(self, system: System, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the state and the input at rest that have the target as their outputs."""
         n, measure = system.n, self._plant[1]
-        u = np.zeros(system.m) if self.u_guess is None else self.u_guess
-        u = _validate.real_array("u_guess", u, (system.m,))
         x = np.zeros(n) if self.x_guess is None else self.x_guess
-        x = _validate.real_array("x_guess", x, (n,))
+        x, u = point(system, x, self.u_guess, batch=False, names=("x_guess", "u_guess"))
         y = measure(x)
         if y.shape != target.shape:
             raise ValueError(f"target must have shape {y.shape}, got {target.shape}")
