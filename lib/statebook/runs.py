@@ -91,8 +91,8 @@ def iterated(
         at = times[:-1] if per_interval else times
         picked = np.round((at - start) / dt).astype(int)
         controls = np.moveaxis(np.array(applied)[picked], 0, -1)
-        count = round((times[-1] - start) / dt)
-        if count and np.isfinite(applied[:count]).all():
+        count = round((times[-1] - start) / dt) + 1
+        if np.isfinite(applied[:count]).all():  # the last one is held for a sample
             breaks = np.array([tick(start, dt, k) for k in range(count + 1)])
             plan = ControlTrajectory(breaks, np.reshape(applied[:count], (1, count, -1)))
     return _finished(system, solver, steps, (times, states, controls), stop, None, plan)
