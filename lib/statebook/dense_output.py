@@ -72,6 +72,7 @@ class Steps:
         self, x: np.ndarray, times: np.ndarray, *, by_rows: bool = True, all_kept: bool = False
     ) -> None:
         self.state, self.time, self.times = x, float(times[0]), times
+        self.shown = times  # what the trajectory calls them
         self.samples, self.taken = [x[..., None]], 1
         self._by_rows, self._all_kept = by_rows, all_kept
         self._pieces: list[Any] = []
@@ -107,7 +108,7 @@ class Steps:
         """End the run at a time within the last step."""
         count = int(np.searchsorted(self.times, t))
         self.state, self.time = self.at(t), t
-        self.times = np.append(self.times[:count], t)
+        self.times = self.shown = np.append(self.times[:count], t)
         self.settle()
         before = np.concatenate(self.samples, axis=-1)[..., :count]
         self.samples, self.taken = [before, self.state[..., None]], count + 1
@@ -115,7 +116,7 @@ class Steps:
     def taken_samples(self) -> tuple[np.ndarray, np.ndarray]:
         """The times of the samples so far, and the states there."""
         states = np.concatenate(self.samples, axis=-1)
-        return self.times[: states.shape[-1]], states
+        return self.shown[: states.shape[-1]], states
 
     def settle(self) -> DenseOutput | None:
         """Take the samples within the steps; return the dense output of the run, if it has one."""

@@ -13,12 +13,12 @@ from statebook.control_trajectory import ControlTrajectory
 from statebook.dense_output import Steps
 from statebook.events import watches
 from statebook.models.base import Model
-from statebook.policies import Control, as_control, as_plan, at_start, example_input, shaped, valued
+from statebook.policies import Policy, as_control, as_plan, at_start, example_input, shaped, valued
 from statebook.probes import takes_batches
 from statebook.runge_kutta import METHODS, SEMI_IMPLICIT_EULER
-from statebook.runs import iterated, may_vary, through
+from statebook.runs import may_vary, through
 from statebook.solvers import SOLVERS
-from statebook.stepping import Solver
+from statebook.stepping import Flow, Solver
 from statebook.systems import System, as_system
 from statebook.times import increasing, tick
 from statebook.trajectory import Trajectory
@@ -151,8 +151,8 @@ def simulate(
     known = _checked(known, x0, first, start)
     steps = Steps(x0, times, by_rows=solver.by_rows, all_kept=delay > 0)
     if known.discrete:
-        lag = _require_whole("delay", delay, known)
-        return iterated(known, steps, solver, control, lag=lag, before=before)
+        _require_whole("delay", delay, known)
+        return _iterated(known, steps, solver, control.policy, delay, before)
     end = float(times[-1])
     if delay > 1e-11 * (end - start):  # below, it is lost in the rounding of t
         if method in _FIXED_STEP:
@@ -164,7 +164,8 @@ def simulate(
     if max_step is None and (control.is_policy or may_vary(known)):
         switches = np.union1d(switches, solver.stay_within(times))
     stretches = control.stretches(start, end, switches) if end > start else ()
-    return through(known, steps, solver, stretches, lambda: control)
+    flow = Flow(known, batch=x0.ndim == 2)
+    return through(flow, steps, solver, stretches, lambda: control)
 
 
 def simulate_clocked(
@@ -237,31 +238,58 @@ def simulate_clocked(
     solver = _solver(method, rtol, atol, max_step, max_steps, len(x0))
     count = int(np.ceil(duration / period * (1 - 1e-12)))
 
-    def command(x: np.ndarray, t: float) -> Any:
+    def asked(x: np.ndarray, t: float) -> Any:
         if isinstance(policy, ControlTrajectory):
             return policy(t)
         return policy(x.copy(), t) if callable(policy) else policy
 
-    first = at_start("policy(x0, 0)", command, x0, 0.0)
+    first = at_start("policy(x0, 0)", asked, x0, 0.0)
     alone = first.ndim == 1 and first.shape == x0.shape[1:] and first.size > 1
     known = _as_system(system, x0, first[:1] if alone else np.atleast_1d(first), 0.0)
     m, batch = known.m, x0.shape[1:]
     before = _control("u_before", u_before, m, batch)
-    clock = Clock(command, period, count, delay, before, first)
-    known = _checked(known, x0, clock.acting, 0.0)
+
+    def command(x: np.ndarray, t: float) -> np.ndarray:
+        return shaped("policy(x, t)", asked(x, t), m, batch).copy()
+
+    ticks = [tick(0.0, period, k) for k in range(count + 1)]
+    clock = Clock(command, ticks, delay, before, shaped("policy(x, t)", first, m, batch))
+    known = _checked(known, x0, clock.sample(x0, 0.0), 0.0)
     if events is not None and (known.discrete or method in _FIXED_STEP):
         raise ValueError(_EVENTS)
     solver.events = watches(events, x0, 0.0)
     times = np.array([tick(0.0, period / samples, k) for k in range(count * samples + 1)])
-    times[::samples] = [tick(0.0, period, k) for k in range(count + 1)]
+    times[::samples] = ticks
     steps = Steps(x0, times, by_rows=solver.by_rows)
     if known.discrete:
         _require_whole("period / samples", period / samples, known)
-        control = Control(m, batch, None, clock.sample)
-        return iterated(known, steps, solver, control, per_interval=True)
+        return _iterated(known, steps, solver, clock.sample, 0.0, before, per_interval=True)
     if max_step is None and may_vary(known):
         solver.stay_within(times)
-    return through(known, steps, solver, clock.stretches(steps), clock.control, per_interval=True)
+    flow = Flow(known, batch=x0.ndim == 2)
+    stretches = clock.stretches(flow.control, steps)
+    return through(flow, steps, solver, stretches, clock.control, per_interval=True)
+
+
+def _iterated(
+    system: System,
+    steps: Steps,
+    solver: Solver,
+    policy: Policy,
+    delay: float,
+    before: np.ndarray,
+    *,
+    per_interval: bool = False,
+) -> Trajectory:
+    """Run a system in discrete time: a clock holds the control for a sample."""
+    start, dt = steps.time, float(system.dt or 1)
+    wanted = np.round((steps.times - start) / dt).astype(int)
+    ticks = [tick(start, dt, k) for k in range(wanted[-1] + 2)]
+    steps.times = np.array(ticks)[wanted]
+    flow = Flow(system, batch=steps.state.ndim == 2)
+    clock = Clock(policy, ticks, delay, before)
+    stretches = clock.stretches(flow.control, steps)
+    return through(flow, steps, solver, stretches, clock.control, per_interval=per_interval)
 
 
 def _state(x0: Any) -> np.ndarray:
@@ -324,11 +352,10 @@ def _checked(system: System, x0: np.ndarray, u: np.ndarray, t: float) -> System:
     return system if agrees else replace(system, batched=False)
 
 
-def _require_whole(name: str, span: float, system: System) -> int:
+def _require_whole(name: str, span: float, system: System) -> None:
     dt = float(system.dt or 1)
     if abs(span - round(span / dt) * dt) > 1e-9 * max(dt, span):
         raise ValueError(f"{name} must be whole samples of dt = {dt:g}, got {span:g}")
-    return round(span / dt)
 
 
 def _times(given: np.ndarray | None, duration: Any, start: float, system: System) -> np.ndarray:

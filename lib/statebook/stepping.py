@@ -13,11 +13,10 @@ import numpy as np
 from statebook.dense_output import Steps, unflatten
 from statebook.errors import outside_domain
 from statebook.events import Event, Watch
-from statebook.integration import step_of
+from statebook.integration import Function, step_of
 from statebook.policies import Policy, Stretch, held
 from statebook.solvers import EXPLICIT, start_solver
 from statebook.systems import System
-from statebook.times import tick
 
 _CHECK_EVERY = 5_000  # steps
 _MANY = 1_000_000  # steps: minutes to hours of computing
@@ -114,54 +113,22 @@ class Flow:
         return np.nan * x
 
 
-def iterate(
-    flow: Flow,
-    steps: Steps,
-    policy: Policy,
-    dt: float,
-    lag: int,
-    before: np.ndarray | None,
-    applied: list[np.ndarray],
-) -> None:
-    """Iterate a map to the last of the times.
-
-    Parameters
-    ----------
-    lag : int
-        Samples by which the control arrives later.
-    before : array, shape (m,) or (m, N)
-        The control until it arrives.
-    applied : list
-        Takes the controls of all samples.
-    """
-    start = steps.time
-    wanted = np.round((steps.times - start) / dt).astype(int)
-    commands = []
-    for k in range(wanted[-1] + 1):
-        x, t = steps.state, tick(start, dt, k)
-        commands.append(flow.control(policy, x, t))
-        u = commands[k - lag] if k >= lag or before is None else before
-        applied.append(u)
-        if k == wanted[-1]:
-            return
-        flow.trouble = ""
-        x_next = flow.checked(x, held(u), t)
-        if not np.isfinite(x_next).all():
-            raise StoppedError(flow.trouble, t, x)
-        taken = wanted[steps.taken] == k + 1
-        steps.advance(steps.times[steps.taken] if taken else tick(start, dt, k + 1), x_next)
+def _iterate(rate: Function, x: np.ndarray, t: float, dt: float) -> np.ndarray:
+    return np.asarray(rate(x, t))
 
 
 def fixed_steps(flow: Flow, steps: Steps, stretches: Iterable[Stretch], method: str) -> None:
-    """Make one step from each time or end of a stretch to the next."""
-    step = step_of(method, steps.state.shape)
+    """Make one step from each time or end of a stretch to the next; a map is its own step."""
+    step = _iterate if flow.system.discrete else step_of(method, steps.state.shape)
+    last = steps.times[-1]
     for start, end, policy in stretches:
 
         def rate(x: np.ndarray, t: float, policy: Policy = policy) -> np.ndarray:
             return flow.checked(x, policy, float(t))
 
         t = start
-        while t < end:
+        while t < min(end, last):
+            flow.trouble = ""
             x, target = steps.state, min(steps.times[steps.taken], end)
             try:
                 x_next = step(rate, x, t, target - t)
