@@ -25,7 +25,6 @@ from statebook.trajectory import Trajectory
 
 _FIXED_STEP = (*METHODS, SEMI_IMPLICIT_EULER)
 _SAMPLES = 201
-_EVENTS = f"events need continuous time and a method of {', '.join(SOLVERS)}"
 
 
 def simulate(
@@ -144,11 +143,8 @@ def simulate(
     before = _control("u_before", u_before, known.m, x0.shape[1:])
     delay = _validate.non_negative("delay", delay)
     switches = np.union1d(_validate.real_array("switches", switches, (None,)), [])
-    if events is not None and (known.discrete or method in _FIXED_STEP):
-        raise ValueError(_EVENTS)
-    solver.events = watches(events, x0, start)
     first = before if delay else at_start("u(x0, t0)", control.policy, x0, start)
-    known = _checked(known, x0, first, start)
+    known = _checked(known, solver, events, x0, first, start)
     steps = Steps(x0, times, by_rows=solver.by_rows, all_kept=delay > 0)
     if known.discrete:
         _require_whole("delay", delay, known)
@@ -164,8 +160,7 @@ def simulate(
     if max_step is None and (control.is_policy or may_vary(known)):
         switches = np.union1d(switches, solver.stay_within(times))
     stretches = control.stretches(start, end, switches) if end > start else ()
-    flow = Flow(known, batch=x0.ndim == 2)
-    return through(flow, steps, solver, stretches, lambda: control)
+    return through(Flow(known, x0), steps, solver, stretches, lambda: control)
 
 
 def simulate_clocked(
@@ -254,10 +249,7 @@ def simulate_clocked(
 
     ticks = [tick(0.0, period, k) for k in range(count + 1)]
     clock = Clock(command, ticks, delay, before, shaped("policy(x, t)", first, m, batch))
-    known = _checked(known, x0, clock.sample(x0, 0.0), 0.0)
-    if events is not None and (known.discrete or method in _FIXED_STEP):
-        raise ValueError(_EVENTS)
-    solver.events = watches(events, x0, 0.0)
+    known = _checked(known, solver, events, x0, clock.sample(x0, 0.0), 0.0)
     times = np.array([tick(0.0, period / samples, k) for k in range(count * samples + 1)])
     times[::samples] = ticks
     steps = Steps(x0, times, by_rows=solver.by_rows)
@@ -266,7 +258,7 @@ def simulate_clocked(
         return _iterated(known, steps, solver, clock.sample, 0.0, before, per_interval=True)
     if max_step is None and may_vary(known):
         solver.stay_within(times)
-    flow = Flow(known, batch=x0.ndim == 2)
+    flow = Flow(known, x0)
     stretches = clock.stretches(flow.control, steps)
     return through(flow, steps, solver, stretches, clock.control, per_interval=True)
 
@@ -286,7 +278,7 @@ def _iterated(
     wanted = np.round((steps.times - start) / dt).astype(int)
     ticks = [tick(start, dt, k) for k in range(wanted[-1] + 2)]
     steps.times = np.array(ticks)[wanted]
-    flow = Flow(system, batch=steps.state.ndim == 2)
+    flow = Flow(system, steps.state)
     clock = Clock(policy, ticks, delay, before)
     stretches = clock.stretches(flow.control, steps)
     return through(flow, steps, solver, stretches, clock.control, per_interval=per_interval)
@@ -335,8 +327,13 @@ def _control(name: str, value: Any, m: int, batch: tuple[int, ...]) -> np.ndarra
     return shaped(name, value, m, batch)
 
 
-def _checked(system: System, x0: np.ndarray, u: np.ndarray, t: float) -> System:
+def _checked(
+    system: System, solver: Solver, events: Any, x0: np.ndarray, u: np.ndarray, t: float
+) -> System:
     """Check the dynamics where a run starts; a plain function in all columns of a batch."""
+    if events is not None and (system.discrete or solver.method in _FIXED_STEP):
+        raise ValueError(f"events need continuous time and a method of {', '.join(SOLVERS)}")
+    solver.events = watches(events, x0, t)
     with valued("the dynamics have", x0, t):
         value = system.dynamics(x0, u, t)
     if np.iscomplexobj(value):

@@ -44,11 +44,11 @@ class Flow:
     the last trouble before it gives up is the caller's.
     """
 
-    def __init__(self, system: System, *, batch: bool) -> None:
+    def __init__(self, system: System, x: np.ndarray) -> None:
         self.system = system
         self.trouble = ""
         self.error: Exception | None = None
-        self._rate = self._by_columns if batch and not system.batched else system.rate
+        self._rate = self._by_columns if x.ndim == 2 and not system.batched else system.rate
 
     def __call__(self, x: np.ndarray, policy: Policy, t: float) -> np.ndarray:
         """Evaluate the dynamics; it may be the function's own buffer."""
@@ -89,13 +89,11 @@ class Flow:
         """Note why the dynamics are not finite."""
         if not np.isfinite(x).all():
             self.trouble = self.trouble or f"the state is not finite after t = {t:.6g}"
-            return
-        u = self.control(policy, x, t)
-        if not np.isfinite(u).all():
+        elif not np.isfinite(u := self.control(policy, x, t)).all():
             self.trouble = self.trouble or f"u(x, t) is not finite at t = {t:.6g}"
-            return
-        self.trouble = f"the dynamics are not finite at t = {t:.6g}"
-        self(x, held(u), t)
+        else:
+            self.trouble = f"the dynamics are not finite at t = {t:.6g}"
+            self(x, held(u), t)
 
     def _by_columns(self, x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
         rates = [self.system.rate(*column, t) for column in zip(x.T, u.T, strict=True)]
@@ -211,10 +209,8 @@ class Solver:
                 solver.f, solver.t_bound, solver.status = slope, end, "running"
                 solver.h_abs = max(solver.h_abs, longest)
             else:
-                options = {
-                    "max_step": self._longest(start),
-                    "first_step": min(longest, end - start) or None,
-                }
+                first = min(longest, end - start) or None
+                options = {"max_step": self._longest(start), "first_step": first}
                 problem = (self.method, rate, start, y, end, y.size // len(steps.state))
                 solver = start_solver(*problem, self.rtol, self._flat(atol), options)
             if self.by_rows:  # their steps copy at once, and ask for the trouble
@@ -258,9 +254,7 @@ class Solver:
         length = (steps.time - mark) / _CHECK_EVERY
         ahead = (last - steps.time) / length if length else np.inf
         self._pace = max(self._pace, length)
-        most = self.max_steps
-        if most is None:
-            most = _MANY if length < _COLLAPSED * self._pace else _HOPELESS
+        most = self.max_steps or (_MANY if length < _COLLAPSED * self._pace else _HOPELESS)
         if count + ahead > most:
             raise StoppedError(
                 f"with steps of {length:.0e} s it would take more than {most:g} of them; {_HINT}",

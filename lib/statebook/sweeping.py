@@ -105,7 +105,7 @@ def sweep(
     with ExitStack() as stack:
         board = None
         if executor is None:
-            board = multiprocessing.get_context().Array("q", 1 + 2 * len(points), lock=False)
+            board = multiprocessing.get_context().Array("q", 1 + len(points), lock=False)
             executor = ProcessPoolExecutor(initializer=_join, initargs=(board,))
             stack.callback(executor.shutdown, cancel_futures=True)
         if chunk is None:
@@ -216,7 +216,7 @@ def _require_portable(function: Any, grid: dict[str, Any]) -> None:
             ) from error
 
 
-_board: Any = None  # in a worker: whether to stop, then for each point whether it began and ended
+_board: Any = None  # in a worker: whether to stop, then who is at work on each point
 
 
 def _join(board: Any) -> None:
@@ -225,17 +225,14 @@ def _join(board: Any) -> None:
 
 
 def _evaluate(
-    function: Callable[..., Any],
-    points: list[dict[str, Any]],
-    first: int,
-    entropy: tuple[int, bool],
+    function: Callable[..., Any], points: list[dict[str, Any]], first: int, entropy: Any
 ) -> list[np.ndarray]:
     results = []
     for index, point in enumerate(points, start=first):
         if _board is not None:
             if _board[0]:
                 break
-            _board[1 + 2 * index] = os.getpid()
+            _board[1 + index] = os.getpid()
         seed = np.random.SeedSequence(entropy[0], spawn_key=(index,))
         rng = {"rng": np.random.default_rng(seed)} if entropy[1] else {}
         if multiprocessing.parent_process() is not None:
@@ -250,7 +247,7 @@ def _evaluate(
             raise TypeError(f"function must return a number or an array, got {result!r} at {point}")
         results.append(result)
         if _board is not None:
-            _board[2 + 2 * index] = os.getpid()
+            _board[1 + index] = 0
     return results
 
 
@@ -261,8 +258,8 @@ def _death(
     dead = {p.pid: p.exitcode for p in workers if p.exitcode not in (None, -signal.SIGTERM)}
     who = ", ".join(f"{pid} (exit code {code})" for pid, code in dead.items()) if board else ""
     if board:
-        begun = [i for i in missing if board[1 + 2 * i] and not board[2 + 2 * i]]
-        missing = [i for i in begun if board[1 + 2 * i] in dead] or begun or missing
+        begun = [i for i in missing if board[1 + i]]
+        missing = [i for i in begun if board[1 + i] in dead] or begun or missing
     shown = ", ".join(str(points[i]) for i in missing[:8]) + (", ..." if len(missing) > 8 else "")
     return (
         f"worker process {who + ' ' if who else ''}died at {shown}: killed, out of memory or"

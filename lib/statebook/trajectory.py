@@ -391,16 +391,10 @@ class Trajectory(ReadOnly):
         inputs = self.controls
         if inputs is not None and self.control_hold == "interval":
             inputs = np.concatenate([inputs, inputs[..., -1:]], axis=-1)
-        return control.TimeResponseData(
-            self.times,
-            self.states,
-            self.states,
-            inputs,
-            issiso=False,
-            output_labels=list(self.state_labels or ()),
-            state_labels=list(self.state_labels or ()),
-            input_labels=list(self.input_labels or ()) if self.controls is not None else None,
-        )
+        states, driven = list(self.state_labels or ()), list(self.input_labels or ()) or None
+        names = {"output_labels": states, "state_labels": states, "input_labels": driven}
+        samples = (self.times, self.states, self.states, inputs)
+        return control.TimeResponseData(*samples, issiso=False, **names)
 
     @classmethod
     def from_response(cls, response: control.TimeResponseData) -> Trajectory:
@@ -426,15 +420,10 @@ class Trajectory(ReadOnly):
             raise ValueError("response must contain states: ask for them with return_x=True")
         if controls is not None and controls.ndim < states.ndim:
             controls = np.broadcast_to(controls[:, None], (len(controls), *states.shape[1:]))
-        if controls is not None and len(controls) == 0:
-            controls = None
-        return cls(
-            response.t,
-            states,
-            controls,
-            state_labels=response.state_labels,
-            input_labels=None if controls is None else response.input_labels,
-        )
+        if controls is None or len(controls) == 0:
+            return cls(response.t, states, state_labels=response.state_labels)
+        labels = response.state_labels, response.input_labels
+        return cls(response.t, states, controls, (), *labels)
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
         """Write the samples as a table, exactly.
@@ -490,14 +479,9 @@ class Trajectory(ReadOnly):
             controls = np.array([row[1 + n :] for row in table]).reshape(len(table), m).T
         except ValueError as error:
             raise ValueError(f"{os.fspath(path)} must hold numbers in full rows: {error}") from None
-        return cls(
-            samples[0],
-            samples[1:],
-            controls if m else None,
-            circle,
-            tuple(name[2:] for name in header[1 : 1 + n]),
-            tuple(name[2:] for name in header[1 + n :]),
-        )
+        names = tuple(name[2:] for name in header[1:])
+        found = (samples[0], samples[1:], controls if m else None)
+        return cls(*found, circle, names[:n], names[n:])
 
     def _controls(self) -> np.ndarray:
         if self.controls is None:
