@@ -151,7 +151,7 @@ def integrate(
                 continue
             if k == 0:  # a function that is not finite at the start is the caller's mistake
                 _validate.array("f(x0, t0)", f(x, t0))
-            states = np.moveaxis(np.atleast_2d(xs[: k + 1].T).T, 0, -1)
+            states = np.atleast_2d(np.moveaxis(xs[: k + 1], 0, -1))
             raise DivergenceError(
                 f"integration stopped at t = {ts[k]:.6g}, x = {_validate.brief(xs[k])}: {reason}; "
                 f"{k} of {N} steps are in .trajectory",

@@ -147,7 +147,7 @@ def simulate(
     known = _checked(known, solver, events, x0, first, start)
     steps = Steps(x0, times, by_rows=solver.by_rows, all_kept=delay > 0)
     if known.discrete:
-        _require_whole("delay", delay, known)
+        _require_whole("delay", delay, known, f", got {delay:g}")
         return _iterated(known, steps, solver, control.policy, delay, before)
     end = float(times[-1])
     if delay > 1e-11 * (end - start):  # below, it is lost in the rounding of t
@@ -254,7 +254,8 @@ def simulate_clocked(
     times[::samples] = ticks
     steps = Steps(x0, times, by_rows=solver.by_rows)
     if known.discrete:
-        _require_whole("period / samples", period / samples, known)
+        step = period / samples
+        _require_whole("period / samples", step, known, f", got {step:g}")
         return _iterated(known, steps, solver, clock.sample, 0.0, before, per_interval=True)
     if max_step is None and may_vary(known):
         solver.stay_within(times)
@@ -349,27 +350,22 @@ def _checked(
     return system if agrees else replace(system, batched=False)
 
 
-def _require_whole(name: str, span: float, system: System) -> None:
+def _require_whole(name: str, spans: Any, system: System, got: str) -> None:
     dt = float(system.dt or 1)
-    if abs(span - round(span / dt) * dt) > 1e-9 * max(dt, span):
-        raise ValueError(f"{name} must be whole samples of dt = {dt:g}, got {span:g}")
+    if np.any(np.abs(spans - np.round(spans / dt) * dt) > 1e-9 * np.maximum(dt, np.abs(spans))):
+        raise ValueError(f"{name} must be whole samples of dt = {dt:g}{got}")
 
 
 def _times(given: np.ndarray | None, duration: Any, start: float, system: System) -> np.ndarray:
     if (given is None) == (duration is None):
         raise ValueError("give either duration or times" + (", not both" if duration else ""))
-    if given is None:
-        duration = _validate.positive("duration", duration)
-    if not system.discrete:
-        return np.linspace(start, start + duration, _SAMPLES) if given is None else given
-    dt = float(system.dt or 1)
-    spans = np.array([duration]) if given is None else given - start
-    counts = np.round(spans / dt)
-    if np.any(np.abs(spans - counts * dt) > 1e-9 * np.maximum(dt, np.abs(spans))):
-        name = "duration" if given is None else "times"
-        raise ValueError(
-            f"{name} must be whole samples of dt = {dt:g} apart, got {duration or given}"
-        )
     if given is not None:
+        if system.discrete:
+            _require_whole("times", given - start, system, f" apart, got {given}")
         return given
-    return np.array([tick(start, dt, k) for k in range(int(counts[0]) + 1)])
+    duration = _validate.positive("duration", duration)
+    if not system.discrete:
+        return np.linspace(start, start + duration, _SAMPLES)
+    _require_whole("duration", duration, system, f" apart, got {duration}")
+    dt = float(system.dt or 1)
+    return np.array([tick(start, dt, k) for k in range(round(duration / dt) + 1)])

@@ -3,18 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import scipy
 
-EXPLICIT = ("RK45", "RK23", "DOP853")
-SOLVERS = (*EXPLICIT, "Radau", "BDF", "LSODA")
 _SAFETY, _SHRINK, _GROW = 0.9, 0.2, 10.0  # of a step, as in SciPy
-_SMALLEST_RTOL = 100 * np.finfo(float).eps  # SciPy's own limit
-
-Rate = Callable[[float, np.ndarray], np.ndarray]
 
 
 class _ByColumns:
@@ -70,7 +64,11 @@ class _ByColumns:
 
     def _worst(self: Any, h: float, scale: np.ndarray) -> float:
         """The largest of the columns' error norms, in units of the tolerance."""
-        return h * float(self._squares(self.E, scale).max()) ** 0.5
+        if not hasattr(self, "E5"):
+            return h * float(self._squares(self.E, scale).max()) ** 0.5
+        fifth, third = self._squares(self.E5, scale), self._squares(self.E3, scale)
+        below = np.sqrt(fifth + 0.01 * third)
+        return h * float((fifth / (below + (below == 0))).max())
 
     def _squares(self: Any, weights: np.ndarray, scale: np.ndarray) -> Any:
         """The columns' mean squares of an error."""
@@ -81,49 +79,8 @@ class _ByColumns:
         return np.einsum("ij,ij->j", errors, errors) / len(errors)
 
 
-class _RK45(_ByColumns, scipy.integrate.RK45):  # type: ignore[misc]
-    pass
-
-
-class _RK23(_ByColumns, scipy.integrate.RK23):  # type: ignore[misc]
-    pass
-
-
-class _DOP853(_ByColumns, scipy.integrate.DOP853):  # type: ignore[misc]
-    def _worst(self: Any, h: float, scale: np.ndarray) -> float:
-        fifth, third = self._squares(self.E5, scale), self._squares(self.E3, scale)
-        below = np.sqrt(fifth + 0.01 * third)
-        return h * float((fifth / (below + (below == 0))).max())
-
-
-_CLASSES = {"RK45": _RK45, "RK23": _RK23, "DOP853": _DOP853}
-
-
-def start_solver(
-    method: str,
-    rate: Rate,
-    t: float,
-    y: np.ndarray,
-    end: float,
-    columns: int,
-    rtol: float,
-    atol: np.ndarray,
-    options: dict[str, Any],
-) -> Any:
-    """A SciPy solver of `columns` trajectories, as accurate as if each ran alone.
-
-    The explicit ones hold y as (n, N) row by row, the others one trajectory after another.
-    """
-    if method in EXPLICIT:
-        kind = _CLASSES[method]
-        options = {**options, "columns": columns}
-    else:
-        kind = getattr(scipy.integrate, method)
-        rtol, atol = rtol / columns**0.5, atol / columns**0.5
-        size = y.size // columns
-        if columns > 1 and method == "LSODA":
-            options = {**options, "lband": size - 1, "uband": size - 1}
-        elif columns > 1:
-            blocks = scipy.sparse.kron(scipy.sparse.eye_array(columns), np.ones((size, size)))
-            options = {**options, "jac_sparsity": blocks.tocsc()}
-    return kind(rate, t, y, end, rtol=max(rtol, _SMALLEST_RTOL), atol=atol, **options)
+EXPLICIT = {
+    name: type(name, (_ByColumns, getattr(scipy.integrate, name)), {})
+    for name in ("RK45", "RK23", "DOP853")
+}
+SOLVERS = (*EXPLICIT, "Radau", "BDF", "LSODA")

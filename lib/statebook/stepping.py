@@ -9,19 +9,21 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import scipy
 
 from statebook.dense_output import Steps, unflatten
 from statebook.errors import outside_domain
 from statebook.events import Event, Watch
 from statebook.integration import Function, step_of
 from statebook.policies import Policy, Stretch, held
-from statebook.solvers import EXPLICIT, start_solver
+from statebook.solvers import EXPLICIT
 from statebook.systems import System
 
 _CHECK_EVERY = 5_000  # steps
 _MANY = 1_000_000  # steps: minutes to hours of computing
 _HOPELESS = 1e9  # steps: days
 _COLLAPSED = 0.01  # of a length that steps once had: the control chatters
+_SMALLEST_RTOL = 100 * np.finfo(float).eps  # SciPy's own limit
 _HINT = (
     "is the control discontinuous in x (sample it with simulate_clocked), or the system stiff "
     '(method="LSODA")? Where it is just long, give max_steps='
@@ -188,7 +190,6 @@ class Solver:
     def run(self, flow: Flow, steps: Steps, stretches: Iterable[Stretch], last: float) -> None:
         """Go through the stretches, to the last time or a terminal event."""
         shape, batch = steps.state.shape, steps.state.ndim == 2
-        atol = np.broadcast_to(self.atol.reshape(-1, *[1] * (len(shape) - 1)), shape)
         solver, longest = None, 0.0
         count, mark = 0, steps.time
         for start, end, policy in stretches:
@@ -209,10 +210,7 @@ class Solver:
                 solver.f, solver.t_bound, solver.status = slope, end, "running"
                 solver.h_abs = max(solver.h_abs, longest)
             else:
-                first = min(longest, end - start) or None
-                options = {"max_step": self._longest(start), "first_step": first}
-                problem = (self.method, rate, start, y, end, y.size // len(steps.state))
-                solver = start_solver(*problem, self.rtol, self._flat(atol), options)
+                solver = self._start(rate, start, y, end, shape, min(longest, end - start))
             if self.by_rows:  # their steps copy at once, and ask for the trouble
                 solver.fun, solver.explain = fast, rate
             longest = 0.0
@@ -230,6 +228,28 @@ class Solver:
                 if count % _CHECK_EVERY == 0:
                     self._check_pace(steps, last, count, mark)
                     mark = steps.time
+
+    def _start(
+        self, rate: Any, t: float, y: np.ndarray, end: float, shape: tuple[int, ...], first: float
+    ) -> Any:
+        """A SciPy solver of the columns of a batch, as accurate as if each ran alone.
+
+        The explicit ones hold y as (n, N) row by row, the others one trajectory after another.
+        """
+        n, columns, rtol = shape[0], y.size // shape[0], self.rtol
+        atol = self._flat(np.broadcast_to(self.atol.reshape(-1, *[1] * (len(shape) - 1)), shape))
+        options: dict[str, Any] = {"max_step": self._longest(t), "first_step": first or None}
+        if self.by_rows:
+            options["columns"] = columns
+        else:
+            rtol, atol = rtol / columns**0.5, atol / columns**0.5
+            if columns > 1 and self.method == "LSODA":
+                options.update(lband=n - 1, uband=n - 1)
+            elif columns > 1:
+                blocks = scipy.sparse.kron(scipy.sparse.eye_array(columns), np.ones((n, n)))
+                options["jac_sparsity"] = blocks.tocsc()
+        kind = EXPLICIT.get(self.method) or getattr(scipy.integrate, self.method)
+        return kind(rate, t, y, end, rtol=max(rtol, _SMALLEST_RTOL), atol=atol, **options)
 
     def _flat(self, x: np.ndarray) -> np.ndarray:
         return x.ravel() if self.by_rows else x.T.ravel()
