@@ -7,6 +7,7 @@ import itertools
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -225,30 +226,24 @@ def as_control(
         return of_plan(u, m, batch)
     function, t0, shape = u, float(times[0]), (m,)
 
-    def alone(x: np.ndarray, t: float) -> np.ndarray:
+    def policy(x: np.ndarray, t: float) -> np.ndarray:
         value = function(x.copy(), t)
         # What `shaped` does with most of them, without a call.
-        if type(value) is np.ndarray and value.shape == shape and value.dtype is _FLOAT:
-            return value
-        return shaped("u(x, t)", value, m, ())
-
-    def together(x: np.ndarray, t: float) -> np.ndarray:
-        return shaped("u(x, t)", function(x.copy(), t), m, batch)
+        if type(value) is np.ndarray and value.dtype is _FLOAT and x.ndim == 1:
+            if value.shape == shape:
+                return value
+        return shaped("u(x, t)", value, m, x.shape[1:])
 
     def one_by_one(x: np.ndarray, t: float) -> np.ndarray:
-        return np.stack([alone(column, t) for column in x.T], axis=1)
+        return np.stack([policy(column, t) for column in x.T], axis=1)
 
     if not batch:
-        return Control(m, batch, None, alone)
+        return Control(m, batch, None, policy)
     # Different columns, or a policy that mixes them up would pass.
     beside = x0 + (1 + np.abs(x0)) * np.linspace(0.0, 1e-3, batch[0])
-    agrees = all(
-        takes_batches(
-            lambda x: together(x, t0), x, alone=lambda column: alone(column, t0), rtol=1e-9
-        )
-        for x in (x0, beside)
-    )
-    return Control(m, batch, None, together if agrees else one_by_one)
+    now = partial(policy, t=t0)
+    agrees = all(takes_batches(now, x, alone=now, rtol=1e-9) for x in (x0, beside))
+    return Control(m, batch, None, policy if agrees else one_by_one)
 
 
 def _plan_of(

@@ -72,8 +72,7 @@ class SwingUp:
     catch: LQR = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.pendulum, Pendulum):
-            raise TypeError(f"pendulum must be a Pendulum, got {type(self.pendulum).__name__}")
+        _require_kind("pendulum", self.pendulum, Pendulum)
         limit = _validate.positive("limit", self.limit)
         _validate.positive("gain", self.gain)
         if self.pendulum.g == 0:
@@ -107,17 +106,13 @@ class SwingUp:
 
     def __call__(self, x: Any, t: float) -> np.ndarray:
         """Evaluate u(x, t), shape (1,) or (1, N)."""
-        x = state_of(x, 2)
-        top = self.pendulum.m * self.pendulum.g * self.pendulum.L
-        lack = top - self.pendulum.energy(x)
-        caught = self._caught(x)
-        rate = np.sqrt(self.pendulum.g / self.pendulum.L)
+        x, pendulum = state_of(x, 2), self.pendulum
         ahead = wrap_angle(x[0] + np.pi / 2) * np.sign(x[1])
-        lack = lack + 4 * self.pendulum.damping * rate * (1 - np.sin(ahead / 2))
+        friction = 4 * pendulum.damping * np.sqrt(pendulum.g / pendulum.L) * (1 - np.sin(ahead / 2))
+        lack = pendulum.m * pendulum.g * pendulum.L - pendulum.energy(x) + friction
         pump = np.clip(self.gain * lack * x[1], -self.limit, self.limit)
-        still = (np.abs(x[1]) < 1e-6) & (lack > 0)
-        pump = np.where(still, self.limit, pump)
-        return np.where(caught, self.catch(x, t), pump[None])
+        pump = np.where((np.abs(x[1]) < 1e-6) & (lack > 0), self.limit, pump)
+        return np.where(self._caught(x), self.catch(x, t), pump[None])
 
 
 _SETTLING = 8.0  # [s] after the switch, in which the trial must come to rest
@@ -159,8 +154,7 @@ def cart_force(cartpole: CartPole, x: Any, acceleration: Any) -> np.ndarray:
     >>> cart_force(CartPole(m_cart=2.0, m_pole=1.0), [0.0, -np.pi / 2, 0.0, 0.0], 3.0).round(9)
     np.float64(6.0)
     """
-    if not isinstance(cartpole, CartPole):
-        raise TypeError(f"cartpole must be a CartPole, got {type(cartpole).__name__}")
+    _require_kind("cartpole", cartpole, CartPole)
     idle = cartpole.dynamics(x, [0.0, 0.0])[2]
     acceleration = _validate.array("acceleration", acceleration)
     if acceleration.shape not in ((), (1,), idle.shape):
@@ -168,6 +162,11 @@ def cart_force(cartpole: CartPole, x: Any, acceleration: Any) -> np.ndarray:
             f"acceleration must be a number or have shape {idle.shape}, got {acceleration.shape}"
         )
     return (acceleration - idle) / (cartpole.dynamics(x, [1.0, 0.0])[2] - idle)
+
+
+def _require_kind(name: str, model: Any, kind: type) -> None:
+    if not isinstance(model, kind):
+        raise TypeError(f"{name} must be a {kind.__name__}, got {type(model).__name__}")
 
 
 def _without_torque(cartpole: CartPole, x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
@@ -238,8 +237,7 @@ class CartPoleSwingUp:
     trial: Trajectory = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.cartpole, CartPole):
-            raise TypeError(f"cartpole must be a CartPole, got {type(self.cartpole).__name__}")
+        _require_kind("cartpole", self.cartpole, CartPole)
         if not callable(self.acceleration):
             raise TypeError(f"acceleration must be a function of time, got {self.acceleration!r}")
         _validate.positive("switch", self.switch)
@@ -253,12 +251,8 @@ class CartPoleSwingUp:
                 raise ValueError(
                     f"{name} must be on the track [{low:g}, {high:g}] m, got {place:g} m"
                 )
-        system = System(
-            rate=partial(_without_torque, self.cartpole),
-            states=CartPole.states,
-            inputs=CartPole.inputs[:1],
-            name="cartpole without torque",
-        )
+        rate, name = partial(_without_torque, self.cartpole), "cartpole without torque"
+        system = System(rate, CartPole.states, CartPole.inputs[:1], name=name)
         at_top = [target, np.pi / 2, 0.0, 0.0]
         catch = LQR(system, at_top, Q=self.Q, R=self.R, limit=self.limit, circle=("theta",))
         vars(self).update(catch=catch)
