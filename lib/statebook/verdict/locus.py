@@ -84,14 +84,10 @@ class Locus:
 
     def __repr__(self) -> str:
         N, n = self.eigenvalues.shape
+        ends = f"{self.values[0]:.6g} to {self.values[-1]:.6g} ({N} values)"
         found = [f"{self.parameter} = {crossing}" for crossing in self.crossings]
-        return "\n".join(
-            [
-                f"{n} eigenvalues over {self.parameter} from {self.values[0]:.6g} to"
-                f" {self.values[-1]:.6g} ({N} values)",
-                *(found or ["none crosses the stability boundary"]),
-            ]
-        )
+        found = found or ["none crosses the stability boundary"]
+        return "\n".join([f"{n} eigenvalues over {self.parameter} from {ends}", *found])
 
 
 def eigenvalue_locus(
@@ -165,6 +161,7 @@ def eigenvalue_locus(
     walk = _Walk(Followed(model, (name,), x0, u0, dt, t, trim), name)
     samples = walk.along(values)
     crossings = walk.crossings(samples)
+    walk.followed.warn()
     wanted = set(values.tolist())
     asked = [sample for sample in samples if sample.p in wanted]
     x, u = (
