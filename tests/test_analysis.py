@@ -13,6 +13,7 @@ import IPython
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+import sympy
 from IPython.core.interactiveshell import InteractiveShell
 from traitlets.config import Config
 
@@ -156,6 +157,18 @@ def test_a_library_model_has_its_parameters_as_fields():
 def test_what_is_odd_about_a_model_is_said(options, words):
     with pytest.raises(ValueError, match=words):
         sb.own_model(lambda x: [x[1], -x[0]], **options)
+
+
+def test_a_function_of_a_single_number_is_told_how_to_be_called():
+    with pytest.raises(ValueError, match=r"give lambda x, u: f\(x, u\[0\]\)"):
+        sb.own_model(lambda x, u: np.array([x[1], u]), states=["a", "b"], inputs=["u"])
+
+
+def test_symbols_instead_of_numbers_are_said():
+    with pytest.raises(ValueError, match=r"objects of the types Float.* from numpy"):
+        sb.own_model(
+            lambda x: np.array([x[1], -sympy.sin(x[0])]), states=["a", "b"], guess={"a": 1}
+        )
 
 
 @pytest.mark.parametrize("units", [("m", "m/s"), ("mm", "mm/s"), ("furlong", "m/s"), ("", "")])

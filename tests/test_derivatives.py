@@ -344,3 +344,48 @@ def test_noise_that_grows_as_steps_shrink_is_no_kink():
     # At rest the torques of motion are quadratic in the rates: no slope.
     assert np.abs(A[6:, 6:]).max() < 1e-9
     assert A[:6, 6:] == pytest.approx(np.eye(6), abs=1e-15)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_product_of_matrices_that_rounds_each_column_its_own_way_has_a_derivative(seed):
+    """Machines on a network, at rest: what is left of the powers there is rounding alone."""
+    rng = np.random.default_rng(seed)
+    n = 4
+    Y = rng.standard_normal((n, n)) + 1j * rng.standard_normal((n, n))
+    Y = Y + Y.T
+    E, M, delta = rng.uniform(0.9, 1.2, n), rng.uniform(2, 8, n), rng.uniform(-1, 1, n)
+
+    def column(a, like):
+        return a.reshape(-1, *[1] * (np.ndim(like) - 1))
+
+    def power(angle):
+        V = column(E, angle) * np.exp(1j * np.real(angle))
+        return np.real(V * np.conj(Y @ V))
+
+    def rate(x, u, t):
+        angle, speed = x[:n], np.real(x[n:])
+        given = column(power(delta), angle)
+        return np.concatenate([speed, (given - power(angle) - 0.1 * speed) / column(M, angle)])
+
+    machines = sb.System(rate, tuple(f"x{k}" for k in range(2 * n)), ())
+    with pytest.warns(sb.InexactDerivativeWarning):
+        A, _ = sb.jacobians(machines, np.concatenate([delta, np.zeros(n)]), [])[:2]
+    V = E * np.exp(1j * delta)
+    flow = np.real(np.diag(1j * V * np.conj(Y @ V)) + V[:, None] * np.conj(Y * (1j * V)))
+    expected = np.block(
+        [[np.zeros((n, n)), np.eye(n)], [-flow / M[:, None], -0.1 * np.diag(1 / M)]]
+    )
+    np.testing.assert_allclose(A, expected, atol=1e-9)
+
+
+def test_a_row_that_saturates_has_a_slope_as_good_as_its_error():
+    weights = np.array([[30.0, -4.0], [0.5, 1.0]])
+    x0 = np.array([1.0, -1.5])
+    start = np.tanh(weights @ x0)
+
+    def network(x):
+        return np.tanh(weights @ np.real(x)) - start
+
+    with pytest.warns(sb.InexactDerivativeWarning):
+        A, _ = sb.jacobians(network, x0)[:2]
+    np.testing.assert_allclose(A, (1 - start**2)[:, None] * weights, atol=1e-9)

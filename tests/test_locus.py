@@ -103,6 +103,15 @@ def test_two_crossings_between_two_values_are_found():
     assert locus.eigenvalues.real.max() < 0
 
 
+def test_differences_are_said_once():
+    def real_only(x, k=1.0):
+        return [float(x[1]), float(-k * x[0] - x[1])]
+
+    with pytest.warns(sb.InexactDerivativeWarning) as caught:
+        sb.eigenvalue_locus(real_only, {"k": [1.0, 4.0]}, [0, 0])
+    assert len(caught) == 1
+
+
 def test_columns_follow_eigenvalues_through_one_another():
     p = np.linspace(0, 1, 7)
     locus = sb.eigenvalue_locus(lambda p: np.diag([p - 2, -1 - 3 * p]), {"p": p})

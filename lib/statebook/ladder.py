@@ -114,8 +114,16 @@ def descend(
     every = np.arange(len(s))
     # Steps that differ by little more than rounding show what f makes of rounding.
     close = (_CLOSE[:, None] * (1 + 9e-16 * np.arange(6.0) ** 1.5)).reshape(-1, 1) * top
-    values, nearby = np.split(along(np.concatenate([r, -r, close]), every), [2 * rungs], axis=1)
-    up, down, start = values[:, :rungs], values[:, rungs:], f0[:, None]
+    # The point itself, in seven places of the batch: a product of matrices rounds each place in
+    # its own way, and what that makes of f is noise, too.
+    again = np.zeros((3, len(s)))
+    steps = along(np.concatenate([again, r, -r, again[:1], close, again]), every)
+    cuts = np.cumsum([3, 2 * rungs, 1, len(close)])
+    before, values, between, nearby, after = np.split(steps, cuts, axis=1)
+    start = f0[:, None]
+    repeated = np.concatenate([before, between, after], axis=1) - start
+    least = np.maximum(least, 2 * np.nan_to_num(np.abs(repeated).max(axis=1)))
+    up, down = values[:, :rungs], values[:, rungs:]
     size = np.nan_to_num(np.maximum(np.abs(up), np.abs(down)), nan=0.0, posinf=np.inf)
     # On each rung the rounding of the largest value there or below, and what is measured.
     rounding = eps * np.maximum.accumulate(size[:, ::-1], axis=1)[:, ::-1]
@@ -160,13 +168,16 @@ def descend(
     unsteady = (err > 0.1 * np.maximum(np.abs(taken), rate)) & (err > 8 * at(best, blur))
     unsteady |= (stairs > 0) & (err > 0.1 * np.maximum(np.abs(taken), 1e-6 * rate))
     unsettled |= unsteady & (err > floor)
+    # Where f saturates, all that is left of it may be the rounding of a 1: such a slope is as
+    # good as its error says.
+    unsettled &= err * s > 2.0**13 * eps
     jump = np.abs(slopes_jump(up, down, start, r))
     kink, rung = _lasting(jump, 20 * noise[:, :-1] / r[:-1])
     kink &= at(rung, jump) > 1e-3 * floor
     for side in (up, down):  # a jump at the point itself
         gap = np.abs(side - start)[:, -8:]
         kink |= gap.min(axis=1) > np.maximum(
-            0.5 * gap.max(axis=1), 1e-3 * rate * s + 16 * rough.max(axis=1)
+            0.5 * gap.max(axis=1), 1e-3 * rate * s + 16 * rough.max(axis=1) + 8 * least
         )
     sides = np.stack([at(rung, (start - down) / r), at(rung, (up - start) / r)])
     bend = at(best, np.abs(even) / r**2)

@@ -204,8 +204,14 @@ def _running(f: Any, x: np.ndarray, u: np.ndarray, dt: Any, labels: Any) -> Syst
     except Exception as error:
         raise ValueError(
             f"f does not run at the guess x = {_validate.brief(x)}, u = {_validate.brief(u)}:"
-            f" {type(error).__name__}: {error}"
+            f" {type(error).__name__}: {error}{_hint(f, x, u)}"
         ) from error
+    if value.dtype == object and value.shape == x.shape:
+        kinds = ", ".join(sorted({type(entry).__name__ for entry in value}))
+        raise ValueError(
+            f"f must return numbers, got objects of the types {kinds}: take sin, cos and the like"
+            " from numpy, not from sympy or another package of symbols"
+        )
     if value.shape != x.shape:
         raise ValueError(
             f"f must return one rate for each of the {len(x)} states ({', '.join(labels[0])}),"
@@ -213,6 +219,15 @@ def _running(f: Any, x: np.ndarray, u: np.ndarray, dt: Any, labels: Any) -> Syst
         )
     system.dynamics(x, u)
     return system
+
+
+def _hint(f: Any, x: np.ndarray, u: np.ndarray) -> str:
+    """Say that f takes a single input as a number, if it does."""
+    try:
+        takes_number = u.size == 1 and np.shape(f(x.copy(), float(u[0]))) == x.shape
+    except Exception:  # neither way
+        return ""
+    return "; it takes a number as u: give lambda x, u: f(x, u[0])" if takes_number else ""
 
 
 def _limits(limits: Any, known: Sequence[str], at: Any, units: Any) -> dict[str, Any]:

@@ -66,6 +66,7 @@ class Followed:
             for name in self.labels:
                 _validate.choice("the parameter", name, options)
         self.model, self.x0, self.u0, self.dt, self.t = model, x0, u0, dt, t
+        self.worst: tuple[Any, np.ndarray, np.ndarray] = None, np.zeros(0), np.zeros(0, dtype=bool)
         self.trim = dict(trim or {})
         for name in self.trim:
             _validate.choice("a key of trim", name, _TRIM)
@@ -97,8 +98,13 @@ class Followed:
             found = find_equilibrium(system, x, u, t=t, **trim)
             x, u = found.x, found.u
         (J,), (error,), (inexact,), _ = jacobian(system, x, u, t)
-        warn_of_differences(system, error, inexact)
+        if error[inexact].max(initial=0.0) > self.worst[1][self.worst[2]].max(initial=-1.0):
+            self.worst = system, error, inexact
         A = J[:, : system.n]
         precision = precision_of(A, error[:, : system.n])
         judged = judge(A, system.discrete, precision=precision, check_distance=False)
         return Sample(p, x, u, judged.eigenvalues, system.discrete, system.dt)
+
+    def warn(self) -> None:
+        """Warn once, of the worst of the derivatives that are differences."""
+        warn_of_differences(*self.worst)

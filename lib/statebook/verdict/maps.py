@@ -92,6 +92,7 @@ def _of_model(followed: Followed, grid: Mapping[str, Any]) -> np.ndarray:
         beside = tuple(i - (axis == moved) for axis, i in enumerate(index))
         values = {name: v[i] for name, v, i in zip(grid, vectors, index, strict=True)}
         found[index] = followed.at(values, found.get(beside))
+    followed.warn()
     eigenvalues = np.stack([sample.eigenvalues for sample in found.values()])
     return sort_eigenvalues(eigenvalues.reshape(*shape, -1))
 
