@@ -136,15 +136,15 @@ def parking(p: Parameters) -> np.ndarray:
     return np.array([[2 * R * np.sin(alpha), 0.0], [-R * alpha, -phi], [-R * alpha, phi]])
 
 
-def _poses(pieces: np.ndarray, p: Parameters) -> np.ndarray:
-    """Poses (3, N) every few centimetres along pieces (distance, steering)."""
-    poses = [np.zeros((3, 1))]
+def poses(pieces: np.ndarray, p: Parameters) -> np.ndarray:
+    """Return poses (3, N) every few centimetres along pieces (distance, steering)."""
+    placed = [np.zeros((3, 1))]
     for distance, phi in pieces:
         s = np.linspace(0, distance, 2 + int(abs(distance) / 0.03))
-        start = poses[-1][:, -1:]
+        start = placed[-1][:, -1:]
         half = s * np.tan(phi) / p.L / 2
         chord, mean = s * np.sinc(half / np.pi), start[2] + half
-        poses.append(
+        placed.append(
             np.stack(
                 [
                     start[0] + chord * np.cos(mean),
@@ -153,7 +153,7 @@ def _poses(pieces: np.ndarray, p: Parameters) -> np.ndarray:
                 ]
             )
         )
-    return np.concatenate(poses, axis=1)
+    return np.concatenate(placed, axis=1)
 
 
 def _touches(poses: np.ndarray, p: Parameters) -> str:
@@ -182,15 +182,15 @@ def _judge_parking(answer: Any, p: Parameters) -> str:
         )
     if np.abs(pieces[:, 0]).sum() > 60:
         return f"{np.abs(pieces[:, 0]).sum():.3g} m of driving: 60 m are allowed"
-    poses = _poses(pieces, p)
-    x, y, theta = poses[:, -1]
+    placed = poses(pieces, p)
+    x, y, theta = placed[:, -1]
     if np.hypot(x, y + p.step) > 0.05 or abs(theta) > 0.03:
         return (
             f"the car ends at x = {x:.2f} m, y = {y:.2f} m, turned by {theta:.2f} rad; the goal is"
             f" (0, {-p.step:g}, 0), to 5 cm and 0.03 rad"
             + (": phi > 0 is to the left, and backwards too" if y > 0.05 else "")
         )
-    where = _touches(poses, p)
+    where = _touches(placed, p)
     return f"the body touches a parked car on its way, the one {where}" if where else ""
 
 

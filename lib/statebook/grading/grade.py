@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from statebook.grading.exercise import Exercise, Parameters, find_exercise, student_named
+from statebook.grading.exercise import Exercise, Parameters, Rubric, find_exercise, student_named
 from statebook.grading.sandbox import AnswerError, Apart, as_array, kind, told
 
 # A wrong number that is the right one times one of these comes from a slip of this kind.
@@ -93,12 +93,17 @@ def grade(id: str, answer: Any, student: str | int) -> Grade:
         raise  # no fault of the answer
     except Exception as error:  # whatever an answer is, the student gets a sentence
         trouble = f"this answer does not work ({told(error)})"
-    points = 0 if trouble else task.points
-    message = trouble or f"yes ({points} of {task.points} points)"
-    return Grade(id, not trouble, message, points)
+    if isinstance(trouble, Rubric):
+        points, rows = trouble.points, f"\n{trouble}"
+    else:
+        points, rows = 0 if trouble else task.points, ""
+    right = points == task.points
+    earned = f"{points} of {task.points} points"
+    message = (f"yes ({earned})" if right else f"{earned}" if rows else str(trouble)) + rows
+    return Grade(id, right, message, points)
 
 
-def _trouble(task: Exercise, answer: Any, p: Parameters, student: str | int) -> str:
+def _trouble(task: Exercise, answer: Any, p: Parameters, student: str | int) -> str | Rubric:
     if answer is None or answer is ...:
         return f"there is no answer yet: replace {answer!r}"
     wanted = task.solution(p)
@@ -128,7 +133,7 @@ def _trouble(task: Exercise, answer: Any, p: Parameters, student: str | int) -> 
 def _judged(id: str, student: str | int, answer: np.ndarray) -> str:
     task = find_exercise(id)
     assert task.judge is not None
-    return task.judge(answer, task.parameters(student))
+    return str(task.judge(answer, task.parameters(student)))
 
 
 def _compared(task: Exercise, function: Apart, p: Parameters, student: str | int) -> str:
