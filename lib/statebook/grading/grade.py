@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from statebook.grading.exercise import Exercise, Parameters, find_exercise, student_named
+from statebook.grading.exercise import Exercise, Parameters, Rubric, find_exercise, student_named
 from statebook.grading.sandbox import AnswerError, Apart, as_array, kind, told
 
 # A wrong number that is the right one times one of these comes from a slip of this kind.
@@ -93,12 +93,17 @@ def grade(id: str, answer: Any, student: str | int) -> Grade:
         raise  # no fault of the answer
     except Exception as error:  # whatever an answer is, the student gets a sentence
         trouble = f"this answer does not work ({told(error)})"
-    points = 0 if trouble else task.points
-    message = trouble or f"yes ({points} of {task.points} points)"
-    return Grade(id, not trouble, message, points)
+    if isinstance(trouble, Rubric):
+        points, rows = trouble.points, f"\n{trouble}"
+    else:
+        points, rows = 0 if trouble else task.points, ""
+    right = points == task.points
+    earned = f"{points} of {task.points} points"
+    message = (f"yes ({earned})" if right else f"{earned}" if rows else str(trouble)) + rows
+    return Grade(id, right, message, points)
 
 
-def _trouble(task: Exercise, answer: Any, p: Parameters, student: str | int) -> str:
+def _trouble(task: Exercise, answer: Any, p: Parameters, student: str | int) -> str | Rubric:
     if answer is None or answer is ...:
         return f"there is no answer yet: replace {answer!r}"
     wanted = task.solution(p)
@@ -128,7 +133,7 @@ def _trouble(task: Exercise, answer: Any, p: Parameters, student: str | int) -> 
 def _judged(id: str, student: str | int, answer: np.ndarray) -> str:
     task = find_exercise(id)
     assert task.judge is not None
-    return task.judge(answer, task.parameters(student))
+    return str(task.judge(answer, task.parameters(student)))
 
 
 def _compared(task: Exercise, function: Apart, p: Parameters, student: str | int) -> str:
@@ -174,7 +179,8 @@ def compare(
     if wanted.ndim == 2 and wanted.shape == wanted.T.shape and _close(value.T, wanted, task.rtol):
         return "is it transposed?"
     for hint, factor in _FACTORS.items():
-        if _close(value, factor * wanted, task.rtol):
+        # A figure may be read off roughly; a factor is not one by coincidence.
+        if _close(value, factor * wanted, min(task.rtol, 0.02)):
             return hint.strip()
     if _close(np.abs(value), np.abs(wanted), task.rtol):
         return "look at the signs"
@@ -187,8 +193,10 @@ def _not_like(value: np.ndarray, wanted: np.ndarray, answer: Any) -> str:
         return f"the answer must be {kind(wanted)}, got {kind(answer)}"
     if value.shape != wanted.shape:
         turned = wanted.ndim == 2 and value.shape == wanted.shape[::-1]
-        also = "; is it transposed?" if turned else ""
-        return f"the answer must have shape {wanted.shape}, got {value.shape}{also}"
+        numbers = {0: "one number", 1: f"{wanted.size} numbers in a row"}
+        also = numbers.get(wanted.ndim, " rows of ".join(map(str, wanted.shape)) + " numbers")
+        also = "is it transposed?" if turned else f"give {also}"
+        return f"the answer must have shape {wanted.shape}, got {value.shape}: {also}"
     return "" if np.isfinite(value).all() else "the answer must be finite"
 
 

@@ -116,20 +116,9 @@ def separated(block: Block, tol: float, margins: np.ndarray) -> tuple[np.ndarray
     distance = np.abs(means[:, None] - means)
     np.fill_diagonal(distance, np.inf)
     meet = distance <= reach[:, None] + reach
-    if not meet.any():
-        return radius, [
-            Group(
-                np.array([i]),
-                block.Q @ vectors[:, i : i + 1],
-                dual[i : i + 1] @ block.Q.conj().T,
-                values[i : i + 1, None],
-                float(radius[i]),
-            )
-            for i in np.flatnonzero(margins <= radius)
-        ]
     members = [np.array([i]) for i in range(n)]
     bases, duals = np.hsplit(block.Q @ vectors, n), np.vsplit(dual @ block.Q.conj().T, n)
-    parts = np.hsplit(values[None, :], n)
+    parts = np.hsplit(values[None], n)
     while meet.any():
         # Of two that meet, the more sensitive one is joined with what is nearest to it.
         blurred = (meet & (sensitivity[:, None] >= sensitivity)).any(axis=1)

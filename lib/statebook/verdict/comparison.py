@@ -45,11 +45,9 @@ class Comparison:
             for name, r in zip(self.names, self.reports, strict=True)
         ]
         scales = [float(np.abs(r.eigenvalues).max(initial=0.0)) for r in self.reports]
-        rows = [tuple(f"{name}: {head}" for name in self.names for head in _HEAD)]
-        rows += [
-            _cells(first, scales[0]) + _cells(second, scales[1]) for first, second in self.pairs
-        ]
-        return lines, rows
+        head = tuple(f"{name}: {head}" for name in self.names for head in _HEAD)
+        rows = [_cells(one, scales[0]) + _cells(two, scales[1]) for one, two in self.pairs]
+        return lines, [head, *rows]
 
 
 def _cells(mode: Mode | None, scale: float) -> tuple[str, ...]:
@@ -114,9 +112,7 @@ def compare(
         shares = [np.stack([mode.participation for mode in r.modes]) for r in (first, second)]
         unlike = unlike + 0.5 * np.abs(shares[0][:, None] - shares[1]).sum(axis=-1)
     rows, columns = scipy.optimize.linear_sum_assignment(unlike)
-    match = dict(zip(rows.tolist(), columns.tolist(), strict=True))
-    pairs: list[tuple[Mode | None, Mode | None]] = [
-        (mode, second.modes[match[k]] if k in match else None) for k, mode in enumerate(first.modes)
-    ]
-    pairs += [(None, m) for k, m in enumerate(second.modes) if k not in match.values()]
-    return Comparison(names, (first, second), tuple(pairs))
+    match = {first.modes[j]: second.modes[k] for j, k in zip(rows, columns, strict=True)}
+    alone = [(None, mode) for mode in second.modes if mode not in match.values()]
+    pairs = (*((mode, match.get(mode)) for mode in first.modes), *alone)
+    return Comparison(names, (first, second), pairs)

@@ -88,15 +88,12 @@ def as_rational(value: Any, *, floats: bool = False) -> RationalMatrix | None:
     rows = [row.tolist() if hasattr(row, "tolist") else row for row in rows]
     if not all(isinstance(row, list | tuple) and len(row) == len(rows) for row in rows):
         return None
-    entries = [[_entry(number, floats) for number in row] for row in rows]
-    real, imag = [], []
-    for row in entries:
-        known = [entry for entry in row if entry is not None]
-        if len(known) < len(rows):
-            return None
-        real.append(tuple(part for part, _ in known))
-        imag.append(tuple(part for _, part in known))
-    return RationalMatrix(tuple(real), tuple(imag) if any(map(any, imag)) else ())
+    found = [[_entry(number, floats) for number in row] for row in rows]
+    entries = [[entry for entry in row if entry is not None] for row in found]
+    if entries != found:
+        return None
+    real, imag = (tuple(tuple(entry[k] for entry in row) for row in entries) for k in (0, 1))
+    return RationalMatrix(real, imag if any(map(any, imag)) else ())
 
 
 def _entry(number: Any, floats: bool) -> tuple[Fraction, Fraction] | None:
@@ -164,10 +161,8 @@ def judge_exactly(matrix: RationalMatrix, discrete: bool) -> Judgement:
     values, margins = _placed(judged.eigenvalues, total, discrete) or _computed(
         judged.eigenvalues, factors, counts, discrete
     )
-    jordan: list[complex] = []
-    for factor, multiplicity in factors if total[2] == 0 else []:
-        if multiplicity > 1:
-            jordan += _jordan_points(M, unit, factor, multiplicity, values, discrete)
+    repeated = [found for found in factors if found[1] > 1 and total[2] == 0]
+    jordan = [z for found in repeated for z in _jordan_points(M, unit, *found, values, discrete)]
     if total[2] or jordan:
         verdict = UNSTABLE
     else:
@@ -203,15 +198,13 @@ def _computed(
     discrete: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Eigenvalues as the roots of their polynomials, in the order of the guesses."""
-    values: list[complex] = []
-    margins: list[float] = []
-    for (factor, multiplicity), count in zip(factors, counts, strict=True):
-        roots, distances = _roots(factor, guesses, count, discrete)
-        values += roots * multiplicity
-        margins += distances * multiplicity
-    distance = np.abs(guesses[:, None] - np.array(values))
-    _, order = scipy.optimize.linear_sum_assignment(distance)
-    return np.array(values)[order], np.array(margins)[order]
+    found = [
+        np.repeat(_roots(factor, guesses, count, discrete), multiplicity, axis=1)
+        for (factor, multiplicity), count in zip(factors, counts, strict=True)
+    ]
+    values, margins = np.hstack(found)
+    _, order = scipy.optimize.linear_sum_assignment(np.abs(guesses[:, None] - values))
+    return values[order], margins[order].real
 
 
 def _factors(matrix: RationalMatrix) -> tuple[Any, int, list[tuple[Any, int]]]:
@@ -237,20 +230,14 @@ def _factors(matrix: RationalMatrix) -> tuple[Any, int, list[tuple[Any, int]]]:
 
 def _mirrored(factor: Any, discrete: bool) -> Any:
     """The polynomial of -s, or of 1/z, for every root s or z (but 0)."""
-    coefficients = factor.all_coeffs()
-    if discrete:
-        return factor.from_list(coefficients[::-1], factor.gen, domain=factor.domain)
-    signs = [(-1) ** k for k in range(len(coefficients))]
-    mirrored = [c * sign for c, sign in zip(coefficients, signs, strict=True)]
-    return factor.from_list(mirrored, factor.gen, domain=factor.domain)
+    one, x = factor.one, factor.one * factor.gen
+    return factor.transform(one, x) if discrete else factor.transform(-x, one)
 
 
 def _on_line(factor: Any) -> Any:
     """The polynomial in s of the roots z = (1 + s) / (1 - s); z = -1 is lost, at infinity."""
-    x, degree = factor.gen, factor.degree()
-    up, down = factor.one * x + 1, 1 - factor.one * x
-    terms = (c * up**k * down ** (degree - k) for k, c in enumerate(reversed(factor.all_coeffs())))
-    return sum(terms, factor.zero)
+    x = factor.one * factor.gen
+    return factor.transform(1 + x, 1 - x)
 
 
 def _count(factor: Any, discrete: bool) -> tuple[int, int, int]:
@@ -274,20 +261,20 @@ def _count(factor: Any, discrete: bool) -> tuple[int, int, int]:
 
 def _turns(p: Any) -> int:
     """Roots to the left less roots to the right: half turns of p(i omega) along the axis."""
-    coefficients = p.all_coeffs()[::-1]
-    parts = []
-    for start in (0, 1):
-        # i^k is (-1)^(k // 2), times i in the imaginary part.
-        part = [c * (-1) ** (k // 2) if k % 2 == start else 0 for k, c in enumerate(coefficients)]
-        parts.append(p.from_list(part[::-1], p.gen, domain="QQ"))
+    # i^k is (-1)^(k // 2), times i in the imaginary part.
+    signed = [c * (-1) ** (k // 2) for k, c in enumerate(reversed(p.all_coeffs()))]
     odd = p.degree() % 2
     # Where p.degree() is odd the imaginary part has it, and the cotangent is counted.
-    chain = [parts[1], parts[0]] if odd else [parts[0], parts[1]]
+    chain = [
+        p.from_list(
+            [c if k % 2 == part else 0 for k, c in enumerate(signed)][::-1], p.gen, domain="QQ"
+        )
+        for part in (odd, 1 - odd)
+    ]
     while not chain[-1].is_zero:
         chain.append(-chain[-2].rem(chain[-1]))
-    leading = [(q.LC() > 0, q.degree() % 2 == 1) for q in chain[:-1]]
-    after = [positive for positive, _ in leading]
-    before = [positive != flipped for positive, flipped in leading]
+    after = [bool(q.LC() > 0) for q in chain[:-1]]
+    before = [positive != q.degree() % 2 for positive, q in zip(after, chain, strict=False)]
     index = sum(a != b for a, b in pairwise(before)) - sum(a != b for a, b in pairwise(after))
     return index if odd else -index
 
@@ -347,8 +334,7 @@ def _jordan_points(
 
 def _nullity(polynomial: Any, M: Any, unit: int) -> int:
     """Dimension of the null space of polynomial(M / unit), by Horner's rule."""
-    identity = M.eye(M.shape, M.domain)
-    value = M.zeros(M.shape, M.domain)
+    identity, value = M.eye(M.shape, M.domain), M.zeros(M.shape, M.domain)
     for k, c in enumerate(polynomial.all_coeffs()):
         value = value * M + identity * (M.domain(int(c)) * M.domain(unit) ** k)
     return int(M.shape[0] - value.rank())

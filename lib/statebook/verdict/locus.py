@@ -162,8 +162,7 @@ def eigenvalue_locus(
     samples = walk.along(values)
     crossings = walk.crossings(samples)
     walk.followed.warn()
-    wanted = set(values.tolist())
-    asked = [sample for sample in samples if sample.p in wanted]
+    asked = [sample for sample in samples if sample.p in values]
     x, u = (
         None if asked[0].x is None else np.stack([getattr(s, a) for s in asked], 1) for a in "xu"
     )
@@ -253,28 +252,25 @@ class _Walk:
             return False
         return bool(np.abs((back.x - last.x) / size).max() <= _BACK * moved + 1e-9)
 
-    def _follower(self, j: int, known: list[Sample]) -> Callable[[float], tuple[Sample, complex]]:
-        """Return the function of p that finds eigenvalue j between samples that are known.
+    def _follower(self, known: list[Sample]) -> Callable[[float], Sample]:
+        """Return the function of p that finds the sample between samples that are known.
 
-        All eigenvalues are matched with what lies between their neighbours, so that j is not
-        taken for one that rests where it passes.
+        All eigenvalues are matched with what lies between their neighbours, so that one is not
+        taken for another that rests where it passes.
         """
         samples = sorted(known, key=_place)
 
-        def follow(p: float) -> tuple[Sample, complex]:
+        def follow(p: float) -> Sample:
             at = min(max(bisect_left(samples, p, key=_place), 1), len(samples) - 1)
-            sample = self._between(samples[at - 1], samples[at], p)
+            a, b = samples[at - 1 : at + 1]
+            sample = self.at(p, a if abs(p - a.p) < abs(p - b.p) else b)
+            share = (p - a.p) / (b.p - a.p) if b.p != a.p else 0.0
+            expected = a.eigenvalues + share * (b.eigenvalues - a.eigenvalues)
+            sample = _in_order(sample, _matched(expected, sample.eigenvalues)[1])
             insort(samples, sample, key=_place)
-            return sample, complex(sample.eigenvalues[j])
+            return sample
 
         return follow
-
-    def _between(self, a: Sample, b: Sample, p: float) -> Sample:
-        """Return the sample at p, its eigenvalues in the order of its neighbours'."""
-        sample = self.at(p, a if abs(p - a.p) < abs(p - b.p) else b)
-        share = (p - a.p) / (b.p - a.p) if b.p != a.p else 0.0
-        expected = a.eigenvalues + share * (b.eigenvalues - a.eigenvalues)
-        return _in_order(sample, _matched(expected, sample.eigenvalues)[1])
 
     def crossings(self, samples: list[Sample]) -> tuple[Crossing, ...]:
         """Find where each eigenvalue changes sides."""
@@ -290,40 +286,35 @@ class _Walk:
                 before, after = sides[one[0]], sides[two[0]]
                 if before == after:
                     continue
-                p, at, z = self._located(j, samples[one[-1]], samples[two[0]], before, after)
-                z = complex(project(z, at.discrete))
+                at = self._located(j, samples[one[-1]], samples[two[0]], before, after)
+                z = complex(project(at.eigenvalues[j], at.discrete))
                 s = np.log(z) / float(at.dt or 1) if at.discrete else z
                 if s.imag >= 0:  # the conjugate crosses with it
                     ends = _SIDES[1 + before], _SIDES[1 + after]
-                    found.append(Crossing(p, z, *ends, float(s.imag), at.x, at.u))
+                    found.append(Crossing(at.p, z, *ends, float(s.imag), at.x, at.u))
         found.sort(key=lambda c: abs(c.value - samples[0].p))
         return tuple(c for c in found if not _hidden(c, found))
 
-    def _located(
-        self, j: int, a: Sample, b: Sample, before: int, after: int
-    ) -> tuple[float, Sample, complex]:
-        """Return where eigenvalue j crosses between two samples, that sample and the eigenvalue."""
-        follow = self._follower(j, [a, b])
+    def _located(self, j: int, a: Sample, b: Sample, before: int, after: int) -> Sample:
+        """Return the sample at which eigenvalue j crosses between two others."""
+        follow = self._follower([a, b])
+
+        def inside(p: float) -> float:
+            return float(margin(follow(p).eigenvalues[j], a.discrete))
+
         if before * after < 0:
-            p = scipy.optimize.brentq(
-                lambda p: margin(follow(p)[1], a.discrete), a.p, b.p, xtol=1e-15 * self.size
-            )
-            return (p, *follow(p))
+            return follow(scipy.optimize.brentq(inside, a.p, b.p, xtol=1e-15 * self.size))
         # It rests on the boundary at one end: bisect for where it leaves.
         on, off = (a.p, b.p) if before == 0 else (b.p, a.p)
         end = on
         while abs(off - on) > 1e-12 * self.size:
             p = (on + off) / 2
-            if margin(follow(p)[1], a.discrete) == 0:
-                on = p
-            else:
-                off = p
-        p = end if abs(on - end) <= 1e-11 * self.size else on
-        return (p, *follow(p))
+            on, off = (p, off) if inside(p) == 0 else (on, p)
+        return follow(end if abs(on - end) <= 1e-11 * self.size else on)
 
     def _with_dips(self, samples: list[Sample]) -> list[Sample]:
         """Add the samples at which an eigenvalue goes to the other side between two others."""
-        first, samples, extra = samples[0], list(samples), []
+        first, extra = samples[0], []
         for j in range(len(first.eigenvalues)):
             sides = _sides(samples, j)
             distances = [abs(margin(s.eigenvalues[j], s.discrete)) for s in samples]
@@ -331,11 +322,11 @@ class _Walk:
                 a, b, c = distances[k - 1 : k + 2]
                 if len({*sides[k - 1 : k + 2]}) > 1 or b >= (1 - 1e-6) * min(a, c):
                     continue
-                follow = self._follower(j, samples[k - 1 : k + 2])
+                follow = self._follower(samples[k - 1 : k + 2])
                 low, high = sorted((samples[k - 1].p, samples[k + 1].p))
                 lowest = scipy.optimize.minimize_scalar(
-                    lambda p, side=sides[k], follow=follow: (
-                        side * margin(follow(p)[1], first.discrete)
+                    lambda p, j=j, side=sides[k], follow=follow: (
+                        side * margin(follow(p).eigenvalues[j], first.discrete)
                     ),
                     bounds=(low, high),
                     method="bounded",
@@ -343,10 +334,8 @@ class _Walk:
                 )
                 if lowest.fun < 0:
                     extra.append(float(lowest.x))
-        for p in extra:
-            at = next(k for k, s in enumerate(samples[1:], 1) if (s.p - p) * (first.p - p) <= 0)
-            samples.insert(at, self._between(samples[at - 1], samples[at], p))
-        return samples
+        added = map(self._follower(samples), extra)
+        return sorted([*samples, *added], key=lambda sample: abs(sample.p - first.p))
 
 
 def _hidden(one: Crossing, all_of_them: list[Crossing]) -> bool:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 
 from statebook import _validate
 from statebook.verdict.level_sets import margin
@@ -156,19 +156,18 @@ def _continuous(loop: Any) -> Any:
 
 
 def _crossovers(loop: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return frequencies at which abs(L) is 1, and by how much the phase is then beyond -pi."""
+    """Return frequencies at which abs(L) is 1, and by how much the phase is then beyond -pi.
+
+    They are the zeros of 1 - L(-s) L(s) on the imaginary axis, in units that balance L.
+    """
     import control
 
-    response = loop
-    for _ in range(2):
-        with np.errstate(all="ignore"), warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # that polynomials lose digits is seen below
-            omega = np.sort(np.asarray(control.stability_margins(response, returnall=True)[4]))
-            values = np.atleast_1d(loop(1j * omega, warn_infinite=False))
-        if np.allclose(np.abs(values), 1, rtol=1e-6):
-            break
-        sizes = np.abs(loop.poles())
-        sizes = np.append(sizes[sizes > 0], 1.0)
-        grid = np.geomspace(1e-4 * sizes.min(), 1e4 * sizes.max(), 4000)
-        response = control.frd(loop(1j * grid), grid, smooth=True)
-    return omega, np.angle(-values)
+    whole = np.block([[loop.A, loop.B], [loop.C, loop.D]])
+    scale = scipy.linalg.matrix_balance(whole, permute=False, separate=True)[1][0]
+    unit = scale[:-1] / scale[-1]
+    A, B, C = loop.A * unit / unit[:, None], loop.B / unit[:, None], loop.C * unit
+    zeros = (1 - control.ss(-A.T, -C.T, B.T, loop.D) * control.ss(A, B, C, loop.D)).zeros()
+    omega = np.sort(zeros.imag[zeros.imag >= 0])
+    values = np.atleast_1d(loop(1j * omega, warn_infinite=False))
+    there = np.abs(np.abs(values) - 1) <= 1e-6
+    return omega[there], np.angle(-values[there])

@@ -172,15 +172,10 @@ class StabilityReport:
         """
         (title, reason), rows, more = self._parts()
         # What Markdown would read as a link, a table or emphasis is meant as it stands.
-        table = ["| " + " | ".join(map(_literal, row)) + " |" for row in rows[1:]]
-        if rows:
-            table = [
-                "| " + " | ".join(rows[0]) + " |",
-                "| " + " | ".join(["---"] * 5) + " |",
-                *table,
-            ]
-        blocks = [f"**{title}**", _literal(reason), "\n".join(table), *more]
-        return "\n\n".join(block for block in blocks if block)
+        cells = [(*map(_literal, row),) for row in rows]
+        cells[:1] = [rows[0], ("---",) * 5] if rows else []
+        table = "\n".join("| " + " | ".join(row) + " |" for row in cells)
+        return "\n\n".join(filter(None, [f"**{title}**", _literal(reason), table, *more]))
 
     def _repr_html_(self) -> str:
         (title, reason), rows, more = self._parts()
@@ -190,14 +185,10 @@ class StabilityReport:
     def _parts(self) -> tuple[list[str], list[tuple[str, ...]], list[str]]:
         """Title and reason, rows of the table of modes, and what it leaves out."""
         title = f"{self.verdict} (spectral margin {format_real(self.spectral_margin)})"
-        if not self.modes:
-            return [title, self.reason], [], []
         unit = "sample" if self.dt is True else "s"
-        scale = float(np.abs(self.eigenvalues).max())
-        rows: list[tuple[str, ...]] = [
-            ("eigenvalue", "damping", f"freq. [rad/{unit}]", f"time const. [{unit}]", "states")
-        ]
-        rows += [
+        scale = float(np.abs(self.eigenvalues).max(initial=0.0))
+        head = ("eigenvalue", "damping", f"freq. [rad/{unit}]", f"time const. [{unit}]", "states")
+        rows = [
             (
                 format_complex(mode.eigenvalue, scale),
                 format_real(mode.damping),
@@ -208,7 +199,8 @@ class StabilityReport:
             for mode in self.modes[:_ROWS]
         ]
         left = len(self.modes) - _ROWS
-        return [title, self.reason], rows, [f"... and {left} more"] if left > 0 else []
+        more = [f"... and {left} more"] if left > 0 else []
+        return [title, self.reason], [head, *rows] if rows else [], more
 
     def _main_states(self, mode: Mode) -> str:
         """Labels of the states whose share is at least half the largest."""
@@ -224,12 +216,11 @@ def modes_of(
     eigenvalues: np.ndarray, participations: np.ndarray, discrete: bool, dt: float | bool | None
 ) -> tuple[Mode, ...]:
     """Modes from eigenvalues and the participation of states (rows) in them (columns)."""
-    step = float(dt) if discrete and dt is not None else 1.0
     modes = []
     for value, share in zip(eigenvalues, participations.T, strict=True):
         if discrete:
             # log(0) is the mode that is over after one step: infinitely fast.
-            s = complex(np.log(value)) / step if value != 0 else complex(-np.inf)
+            s = complex(np.log(value)) / float(dt or 1) if value != 0 else complex(-np.inf)
             if abs(abs(value) - 1) <= 4 * np.finfo(float).eps:
                 s = complex(0, s.imag)
         else:

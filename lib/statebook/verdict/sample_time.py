@@ -100,14 +100,11 @@ def critical_sample_time(
     """
     part = continuous_part(system_or_A, x0, u0, t)
     A = part.A
-    if part.B is None:
-        if B is None:
-            raise ValueError("B is required beside a matrix: it says how u acts on x'")
-        B = _validate.array("B", B, (len(A), None))
-    elif B is not None:
+    if part.B is None and B is None:
+        raise ValueError("B is required beside a matrix: it says how u acts on x'")
+    if part.B is not None and B is not None:
         raise ValueError("B belongs to a matrix; a system has its own: write K=...")
-    else:
-        B = part.B
+    B = _validate.array("B", B, (len(A), None)) if part.B is None else part.B
     if K is None:
         raise ValueError("K is required: the gain of u = -K x")
     K = _validate.array("K", K, (B.shape[1], len(A)))
@@ -150,10 +147,11 @@ def _first_crossing(A: np.ndarray, B: np.ndarray, K: np.ndarray, rate: float) ->
             E = scipy.linalg.expm(generator * start) @ steps(length)
             digits = 8 * EPS * (1 + np.abs(E).max() * (1 + np.abs(K).max() * m))
             values, noise = _product(loop(E), rate * (start + length * nodes), is_real, digits)
-        coefficients = _interpolant(values)
+        # Chebyshev coefficients; the points are ascending.
+        coefficients = scipy.fft.dct(values[::-1], type=2) / len(values)
+        coefficients[0] /= 2
         size = np.abs(coefficients)
-        tail = size[-_TAIL:].max() if np.isfinite(size).all() else np.inf
-        if not tail <= max(_RESOLVED * size.max(), noise):
+        if not size[-_TAIL:].max() <= max(_RESOLVED * size.max(), noise):
             length /= 2
             if start + length == start:
                 break
@@ -194,15 +192,6 @@ def _product(
     values = np.prod(factors, axis=1).real
     error = digits * (1 + np.abs(pairs)) / scale / np.maximum(np.abs(factors), EPS)
     return values, float((np.abs(values) * error.sum(axis=1)).max())
-
-
-def _interpolant(values: np.ndarray) -> np.ndarray:
-    """Chebyshev coefficients of values at the points of the first kind, ascending."""
-    if not np.isfinite(values).all():
-        return np.full(len(values), np.inf)
-    coefficients = scipy.fft.dct(values[::-1], type=2) / len(values)
-    coefficients[0] /= 2
-    return coefficients
 
 
 def _candidates(coefficients: np.ndarray) -> list[tuple[float, float]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -106,56 +106,37 @@ def critical_step(
         return float("inf")
     if tableau is None:
         return _of_partitioned(A, float(np.abs(judgement.eigenvalues).max()))
-    limits, touches = zip(
-        *(_of_eigenvalue(value, tableau) for value in judgement.eigenvalues), strict=True
-    )
-    limit = min(limits)
-    touched = {h for group in touches for h in group if h < limit}
+    found = [_of_eigenvalue(value, tableau) for value in judgement.eigenvalues if value]
+    limit = min(limit for limit, _ in found)
+    touched = {h for _, touches in found for h in touches if h < limit}
     unbounded = [h for h in touched if _grows(amplification_matrix(A, h, tableau))]
     return float(min([limit, *unbounded]))
 
 
 def _of_eigenvalue(value: complex, tableau: ButcherTableau) -> tuple[float, list[float]]:
-    """Critical step of one eigenvalue, and smaller steps at which abs(R) touches 1."""
+    """Critical step of one eigenvalue, and all steps at which abs(R) is 1."""
     size = abs(value)
-    if size == 0:
-        return float("inf"), []
+    length = 2 * max(len(tableau.numerator), len(tableau.denominator)) - 1
     # In r = h abs(value): r^j direction^j, by products that are exact for 1, -1, 1j and -1j.
-    numerator = _along(tableau.numerator, value / size)
-    denominator = _along(tableau.denominator, value / size)
-    length = 2 * max(len(numerator), len(denominator)) - 1
+    powers = np.cumprod([1.0, *[value / size] * length])
     excess, terms = np.zeros(length), np.zeros(length)
-    for coefficients, sign in ((numerator, 1), (denominator, -1)):
-        square_of = np.convolve(coefficients, coefficients.conj()).real
+    for parts, sign in ((tableau.numerator, 1), (tableau.denominator, -1)):
+        along = np.asarray(parts, dtype=float) * powers[: len(parts)]
+        square_of = np.convolve(along, along.conj()).real
         excess[: len(square_of)] += sign * square_of
-        terms[: len(square_of)] += np.convolve(np.abs(coefficients), np.abs(coefficients))
+        terms[: len(square_of)] += np.convolve(np.abs(along), np.abs(along))
     excess[np.abs(excess) <= _CANCELLED * terms] = 0
     if not excess.any():
         return float("inf"), []
-    lowest = int(np.flatnonzero(excess)[0])
-    roots = _positive_roots(np.trim_zeros(excess))
-    touches: list[float] = []
-    # Invariant: abs(R) <= 1 up to the root before, or up to 0.
-    growing = excess[lowest] > 0
-    for k, root in enumerate([0.0, *roots]):
-        if k > 0:
-            after = roots[k] if k < len(roots) else 3 * root
-            growing = np.polynomial.polynomial.polyval((root + after) / 2, excess) > 0
-        if growing:
-            return root / size, touches
-        if k > 0:
-            touches.append(root / size)
-    return float("inf"), touches
+    polynomial = np.polynomial.Polynomial(np.trim_zeros(excess))
+    roots = _positive_roots(polynomial)
+    ends = pairwise([0.0, *roots, 3 * max([1.0, *roots])])
+    limits = (root for root, after in ends if polynomial((root + after) / 2) > 0)
+    return next(limits, np.inf) / size, [root / size for root in roots]
 
 
-def _along(coefficients: np.ndarray, direction: complex) -> np.ndarray:
-    powers = np.cumprod([1.0, *[direction] * (len(coefficients) - 1)])
-    return np.asarray(coefficients, dtype=float) * powers
-
-
-def _positive_roots(coefficients: np.ndarray) -> list[float]:
+def _positive_roots(polynomial: np.polynomial.Polynomial) -> list[float]:
     """Distinct positive real roots of a polynomial, ascending, refined by Newton's method."""
-    polynomial = np.polynomial.Polynomial(coefficients)
     groups: list[list[float]] = []
     for root in sorted(polynomial.roots().astype(complex), key=lambda root: root.real):
         r = float(root.real)
@@ -213,7 +194,12 @@ def _of_partitioned(A: np.ndarray, rate: float) -> float:
     elif first == 0:
         return 0.0
     else:
-        limit = _bracketed(growth, grid[first - 1], grid[first])
+        low, high = grid[first - 1 : first + 1]
+        # On the circle growth is rounding of either sign: aim at the threshold instead of at 0.
+        aim = 0.0 if growth(low) < -_GROWTH else _GROWTH
+        limit = float(
+            scipy.optimize.brentq(lambda h: growth(h) - aim, low, high, xtol=1e-15, rtol=1e-14)
+        )
         snapped = crossings[np.abs(crossings - limit) <= _SAME_ROOT * limit]
         if len(snapped):
             limit = float(snapped[0])
@@ -236,11 +222,3 @@ def _refined(h: float, A: np.ndarray, twice: np.ndarray) -> float:
             break
         h -= 1 / slope
     return h
-
-
-def _bracketed(growth: Callable[[float], float], low: float, high: float) -> float:
-    # On the circle growth is rounding of either sign: aim at the threshold instead of at 0.
-    aim = 0.0 if growth(low) < -_GROWTH else _GROWTH
-    return float(
-        scipy.optimize.brentq(lambda h: growth(h) - aim, low, high, xtol=1e-15, rtol=1e-14)
-    )
