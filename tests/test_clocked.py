@@ -169,6 +169,9 @@ def test_a_plant_in_discrete_time():
     # u = 0, -0.5, -0.5, -0.25, ...: what was seen at 0, 0.2, acts a sample later.
     assert run.controls[0] == pytest.approx([0, -0.5, -0.5, -0.25, -0.25, 0.125])
     assert run.states[0] == pytest.approx([1, 1, 0.5, 0, -0.25, -0.5, -0.375])
+    prompt = simulate_clocked(sys, [1.0], policy, period=0.2, duration=0.4, samples=2)
+    assert prompt.controls[0] == pytest.approx([-0.5, -0.5, 0, 0])
+    assert prompt.states[0] == pytest.approx([1, 0.5, 0, 0, 0])
     with pytest.raises(ValueError, match=r"period / samples must be whole samples of dt = 0.1"):
         simulate_clocked(sys, [1.0], policy, period=0.2, duration=0.6, samples=4)
 

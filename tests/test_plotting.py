@@ -191,7 +191,7 @@ def test_timed_path_shows_profile_limit_and_what_can_be_reached():
     assert look(limit)[0] == "--" and look(limit)[2] == "#666666" and look(profile)[0] == "-"
     labels = [text.get_text() for text in ax.get_legend().get_texts()]
     assert labels == ["controllable", "maximum", "profile"]
-    assert (ax.get_xlabel(), ax.get_ylabel()) == ("$s$", "$s'$ [1/s]")
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("$s$", r"$\dot s$ [1/s]")
     with pytest.raises(TypeError, match="timed must be a TimedPath, got list"):
         sb.plotting.timed_path([1, 2])
 

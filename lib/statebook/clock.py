@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Iterator
-from typing import Any
+import itertools
+import math
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
 from statebook.control_trajectory import ControlTrajectory
 from statebook.dense_output import Steps
-from statebook.policies import Control, Stretch, held, of_plan, shaped
-from statebook.times import tick
+from statebook.policies import Control, Policy, Stretch, held, of_plan
+from statebook.times import interval_of
 
 _ROUNDING = 1e-9  # periods
 
@@ -22,75 +22,64 @@ class Clock:
     Parameters
     ----------
     command : callable
-        u(x, t), called in order of time.
-    period : float [s]
-    count : int
-        Number of periods.
+        u(x, t) of shape (m,) or (m, N), called in order of time.
+    ticks : sequence of float [s]
+        Equally far apart; the command is called at all but the last.
     delay : float [s]
     before : array, shape (m,) or (m, N)
         What acts until the first control arrives.
-    first : array
-        What the policy returned at 0.
+    first : array, optional
+        What the command returned at the first tick, if it was called there.
     """
 
     def __init__(
         self,
-        command: Callable[[np.ndarray, float], Any],
-        period: float,
-        count: int,
+        command: Policy,
+        ticks: Sequence[float],
         delay: float,
         before: np.ndarray,
-        first: np.ndarray,
+        *first: np.ndarray,
     ) -> None:
-        self._command, self._period, self._count, self._delay = command, period, count, delay
-        self._m, self._batch = len(before), before.shape[1:]
-        self._waiting: deque[tuple[float, np.ndarray]] = deque()
-        self._times: list[float] = []
+        self._command, self._ticks, self._before = command, ticks, before
+        self._period, self._delay = ticks[1] - ticks[0], delay
+        self._commands = list(first)
         self._values: list[np.ndarray] = []
-        self.acting = before
-        self._take(first, 0.0)
-        self._arrive(0.0)
+        self._times: list[float] = []
 
     def sample(self, x: np.ndarray, t: float) -> np.ndarray:
-        """What acts on a plant in discrete time; called at each of its samples."""
-        k = round(t / self._period)
-        if 0 < k < self._count and abs(t - k * self._period) <= _ROUNDING * self._period:
-            self._take(self._command(x, t), t)
-        self._arrive(t)
-        return self.acting
+        """What acts at a sample of a plant in discrete time; called at each of them."""
+        since = t - self._ticks[0]
+        k = round(since / self._period)
+        if len(self._commands) == k < len(self._ticks) - 1:
+            if abs(since - k * self._period) <= _ROUNDING * self._period:
+                self._commands.append(self._command(x, t))
+        arrived = math.floor((since - self._delay) / self._period + _ROUNDING)
+        return (
+            self._commands[min(arrived, len(self._commands) - 1)] if arrived >= 0 else self._before
+        )
 
-    def stretches(self, steps: Steps) -> Iterator[Stretch]:
-        """The stretches of a plant in continuous time, each with the control that acts in it."""
-        for k in range(self._count):
-            start, end = tick(0.0, self._period, k), tick(0.0, self._period, k + 1)
-            if k:
-                self._take(self._command(steps.state, start), start)
-            while start < end:
-                self._arrive(start)
-                slack = _ROUNDING * self._period
-                until = min([end, *(t for t, _ in self._waiting if t < end - slack)])
-                self._times.append(start)
-                self._values.append(self.acting)
-                yield Stretch(start, until, held(self.acting))
-                start = until
-        self._times.append(end)
+    def stretches(self, control: Callable[..., np.ndarray], steps: Steps) -> Iterator[Stretch]:
+        """The stretches of a run, each with what acts in it; control(u, x, t) evaluates a u."""
+        lag = math.floor(self._delay / self._period + _ROUNDING)
+        part = self._delay - lag * self._period
+        for k, (start, end) in enumerate(itertools.pairwise(self._ticks)):
+            if k or not self._commands:
+                self._commands.append(control(self._command, steps.state, start))
+            pieces = [(start, end, k - lag)]
+            if part > _ROUNDING * self._period:
+                pieces = [(start, start + part, k - lag - 1), (start + part, end, k - lag)]
+            for a, self._end, j in pieces:
+                self._times.append(a)
+                self._values.append(self._commands[j] if j >= 0 else self._before)
+                yield Stretch(a, self._end, held(self._values[-1]))
 
     def control(self) -> Control:
         """What acted until now, as a plan."""
-        count = next((k for k, u in enumerate(self._values) if not np.isfinite(u).all()), None)
-        values = self._values[:count]
-        if not values or self._m == 0:
-            return Control(self._m, self._batch, None, held(self.acting))
-        times = self._times[: len(values) + 1]
-        if len(times) == len(values):  # the run ended within a stretch
-            times = [*times, tick(0.0, self._period, int(times[-1] / self._period) + 2)]
-        coefficients = np.stack(values).reshape(1, len(values), -1)
-        return of_plan(ControlTrajectory(np.array(times), coefficients), self._m, self._batch)
-
-    def _take(self, command: Any, t: float) -> None:
-        value = shaped("policy(x, t)", command, self._m, self._batch).copy()
-        self._waiting.append((t + self._delay, value))
-
-    def _arrive(self, t: float) -> None:
-        while self._waiting and self._waiting[0][0] <= t + _ROUNDING * self._period:
-            self.acting = self._waiting.popleft()[1]
+        shape, values = self._before.shape, np.stack(self._values)
+        times = np.array([*self._times, self._end])
+        if values.size and np.isfinite(values).all():
+            plan = ControlTrajectory(times, values.reshape(1, len(values), -1))
+            return of_plan(plan, shape[0], shape[1:])
+        return Control(
+            shape[0], shape[1:], None, lambda x, t: values[interval_of(np.float64(t), times)]
+        )

@@ -9,11 +9,11 @@ import numpy as np
 import scipy
 
 from statebook import _validate
-from statebook.times import increasing, interval_of, within
+from statebook.times import ReadOnly, increasing, interval_of, within
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ControlTrajectory:
+class ControlTrajectory(ReadOnly):
     """A control u(t), polynomial between breakpoints.
 
     ``u(t) = sum_j coefficients[j, k] (t - t_k)^(degree - j)`` for ``t_k <= t < t_{k+1}``: at a
@@ -48,14 +48,7 @@ class ControlTrajectory:
             raise ValueError(
                 f"coefficients must have shape (degree + 1, {pieces}, m), got {coefficients.shape}"
             )
-        coefficients.setflags(write=False)
-        object.__setattr__(self, "breakpoints", breakpoints)
-        object.__setattr__(self, "coefficients", coefficients)
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        for array in state.values():  # a pickle forgets it
-            array.setflags(write=False)
+        self._keep(breakpoints=breakpoints, coefficients=coefficients)
 
     def __repr__(self) -> str:
         degree, pieces, m = (len(self.coefficients) - 1, *self.coefficients.shape[1:])

@@ -76,20 +76,18 @@ def with_input_delay(sys: Any, delay: float, *, order: int = 5) -> control.State
         wait = control.tf2ss([1.0], [1.0] + [0.0] * order, dt=sys.dt)
     else:
         wait = control.tf2ss(*control.pade(delay, order)) if delay else control.ss([], [], [], 1.0)
-    m, A, B, C, D = system.m, *(np.asarray(M) for M in (sys.A, sys.B, sys.C, sys.D))
-    late = [np.kron(np.eye(m), np.asarray(M)) for M in (wait.A, wait.B, wait.C, wait.D)]
+    A, B, C, D = (np.asarray(M) for M in (sys.A, sys.B, sys.C, sys.D))
+    late = [np.kron(np.eye(system.m), np.asarray(M)) for M in (wait.A, wait.B, wait.C, wait.D)]
     names = [f"{label}, delayed [{i}]" for label in system.inputs for i in range(wait.nstates)]
-    return control.ss(
+    matrices = (
         np.block([[A, B @ late[2]], [np.zeros((len(late[0]), len(A))), late[0]]]),
         np.vstack([B @ late[3], late[1]]),
         np.hstack([C, D @ late[2]]),
         D @ late[3],
-        sys.dt,
-        states=[*system.states, *names],
-        inputs=list(system.inputs),
-        outputs=list(sys.output_labels),
-        name=f"{system.name} with input delay",
     )
+    labels: dict[str, Any] = {"states": [*system.states, *names], "inputs": list(system.inputs)}
+    labels |= {"outputs": sys.output_labels, "name": f"{system.name} with input delay"}
+    return control.ss(*matrices, sys.dt, **labels)
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,63 +4,12 @@ from __future__ import annotations
 
 import bisect
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import scipy
 
 _MOST = 2**28  # bytes of steps that are kept
-
-
-class StepPolynomial(NamedTuple):
-    """The states of a step: y_old + s sum_j Q_j (s / h)^j, s the time since its start."""
-
-    t_old: float
-    t: float
-    y_old: np.ndarray
-    Q: np.ndarray  # (degree, size)
-
-    def __call__(self, t: Any) -> np.ndarray:
-        """Return the flat states at times: (size,) or (size, T)."""
-        since = np.asarray(t - self.t_old)[..., None]
-        share = since / (self.t - self.t_old)
-        value = 0.0 * since
-        for row in self.Q[::-1]:
-            value = value * share + row
-        return (value * since + self.y_old).T
-
-
-class StepPolynomials(NamedTuple):
-    """The polynomials of the steps of a run."""
-
-    ts: np.ndarray  # ends of the steps, (S + 1,)
-    y_old: np.ndarray  # (S, size)
-    Q: np.ndarray  # (S, degree, size)
-
-    def __call__(self, t: np.ndarray) -> np.ndarray:
-        """Return the flat states (size, T) at times (T,)."""
-        k, lengths = step_at(t, self.ts)
-        since = (t - self.ts[k])[:, None]
-        value = self._sum(k, since / lengths[:, None], np.ones(self.Q.shape[1]))
-        return (value * since + self.y_old[k]).T
-
-    def slopes(self, t: np.ndarray) -> np.ndarray:
-        """Return the flat time derivatives (size, T) at times (T,)."""
-        k, lengths = step_at(t, self.ts)
-        share = ((t - self.ts[k]) / lengths)[:, None]
-        return self._sum(k, share, np.arange(1.0, self.Q.shape[1] + 1)).T
-
-    def _sum(self, k: np.ndarray, share: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        value = 0.0 * share
-        for j in range(len(weights))[::-1]:
-            value = value * share + weights[j] * self.Q[k, j]
-        return value
-
-
-def step_at(t: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Indices of the steps that times are in, and their lengths."""
-    k = np.clip(np.searchsorted(ends, t, side="right") - 1, 0, len(ends) - 2)
-    return k, np.diff(ends)[k]
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,15 +28,20 @@ class DenseOutput:
                 'times wanted in simulate (times=), or for at(t, "linear")'
             )
         flat = self.curve(np.ravel(t))
+        flat = flat.T if isinstance(self.curve, scipy.interpolate.PPoly) else flat
         return unflatten(flat, self.shape, self.by_rows).reshape(*self.shape, *np.shape(t))
 
     def slopes(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the time derivatives at times (T,), and the lengths of the steps there."""
-        k, lengths = step_at(t, self.curve.ts)
-        if isinstance(self.curve, StepPolynomials):
-            flat = self.curve.slopes(t)
+        curve = self.curve
+        polynomial = isinstance(curve, scipy.interpolate.PPoly)
+        ends = curve.x if polynomial else curve.ts
+        k = np.clip(np.searchsorted(ends, t, side="right") - 1, 0, len(ends) - 2)
+        lengths = np.diff(ends)[k]
+        if polynomial:
+            flat = curve.derivative()(t).T
         else:
-            steps = zip(t, 1e-3 * lengths, (self.curve.interpolants[i] for i in k), strict=True)
+            steps = zip(t, 1e-3 * lengths, (curve.interpolants[i] for i in k), strict=True)
             flat = np.stack([(p(s + d) - p(s - d)) / (2 * d) for s, d, p in steps], axis=-1)
         return unflatten(flat, self.shape, self.by_rows), lengths
 
@@ -118,6 +72,7 @@ class Steps:
         self, x: np.ndarray, times: np.ndarray, *, by_rows: bool = True, all_kept: bool = False
     ) -> None:
         self.state, self.time, self.times = x, float(times[0]), times
+        self.shown = times  # what the trajectory calls them
         self.samples, self.taken = [x[..., None]], 1
         self._by_rows, self._all_kept = by_rows, all_kept
         self._pieces: list[Any] = []
@@ -149,28 +104,30 @@ class Steps:
         k = min(bisect.bisect_left(self._ends, t), len(self._ends) - 1)
         return unflatten(self._pieces[k](t), self.state.shape, self._by_rows)
 
-    def times_between(self, start: float, end: float) -> list[float]:
-        """The times wanted between two times."""
-        first, last = np.searchsorted(self.times, start, "right"), np.searchsorted(self.times, end)
-        return self.times[first:last].tolist()
-
     def end_at(self, t: float) -> None:
         """End the run at a time within the last step."""
         count = int(np.searchsorted(self.times, t))
         self.state, self.time = self.at(t), t
-        self.times = np.append(self.times[:count], t)
+        self.times = self.shown = np.append(self.times[:count], t)
         self.settle()
         before = np.concatenate(self.samples, axis=-1)[..., :count]
         self.samples, self.taken = [before, self.state[..., None]], count + 1
+
+    def taken_samples(self) -> tuple[np.ndarray, np.ndarray]:
+        """The times of the samples so far, and the states there."""
+        states = np.concatenate(self.samples, axis=-1)
+        return self.shown[: states.shape[-1]], states
 
     def settle(self) -> DenseOutput | None:
         """Take the samples within the steps; return the dense output of the run, if it has one."""
         if not self._pieces:
             return None
-        ends = [self._pieces[0].t_old, *self._ends]
-        if isinstance(self._pieces[0], StepPolynomial):
-            y_old, Q = (np.array([getattr(p, a) for p in self._pieces]) for a in ("y_old", "Q"))
-            curve: Any = StepPolynomials(np.array(ends), y_old, Q)
+        ends = np.array([self._pieces[0].t_old, *self._ends])
+        if self._by_rows and hasattr(self._pieces[0], "Q"):  # a polynomial, in shares of its step
+            Q = np.array([p.Q for p in self._pieces])
+            Q /= np.diff(ends)[:, None, None] ** np.arange(Q.shape[2])
+            c = np.stack([*Q.transpose(2, 0, 1)[::-1], [p.y_old for p in self._pieces]])
+            curve: Any = scipy.interpolate.PPoly(c, ends)
         else:
             curve = scipy.integrate.OdeSolution(ends, self._pieces)
         dense = DenseOutput(curve, self.state.shape, self._by_rows)

@@ -102,8 +102,7 @@ def watches(events: Any, x: np.ndarray, t: float) -> list[Watch]:
         raise ValueError(
             f"events take one trajectory, got a batch of {x.shape[1]}: simulate one at a time"
         )
-    if callable(events):
-        events = [events]
+    events = [events] if callable(events) else events
     if not isinstance(events, Mapping | list | tuple):
         raise TypeError(f"events must be a function e(x, t), or several, got {events!r}")
     named = events.items() if isinstance(events, Mapping) else ((None, e) for e in events)

@@ -9,11 +9,7 @@ import numpy as np
 
 from statebook import _validate
 from statebook.errors import DivergenceError, outside_domain
-from statebook.runge_kutta import (
-    SEMI_IMPLICIT_EULER,
-    ButcherTableau,
-    as_tableau,
-)
+from statebook.runge_kutta import SEMI_IMPLICIT_EULER, ButcherTableau, as_tableau
 from statebook.trajectory import Trajectory
 
 _NEWTON_ITERATIONS = 50
@@ -155,13 +151,13 @@ def integrate(
                 continue
             if k == 0:  # a function that is not finite at the start is the caller's mistake
                 _validate.array("f(x0, t0)", f(x, t0))
+            states = np.atleast_2d(np.moveaxis(xs[: k + 1], 0, -1))
             raise DivergenceError(
-                f"integration stopped at t = {ts[k]:.6g}, x = "
-                f"{np.array2string(xs[k], precision=4, threshold=8)}: {reason}; "
+                f"integration stopped at t = {ts[k]:.6g}, x = {_validate.brief(xs[k])}: {reason}; "
                 f"{k} of {N} steps are in .trajectory",
                 time=float(ts[k]),
                 state=np.array(xs[k]),
-                trajectory=None if np.iscomplexobj(xs) else _partial(ts[: k + 1], xs[: k + 1]),
+                trajectory=None if np.iscomplexobj(xs) else Trajectory(ts[: k + 1], states),
             )
     return ts, xs
 
@@ -222,14 +218,13 @@ def _implicit_stages(
     """
     times = t + c * dt
     K = np.stack([f(x, t)] * len(c))
-    identity = np.eye(K.size)
     for _ in range(_NEWTON_ITERATIONS):
         Z = x + dt * _weighted(A, K)
         F = np.stack([f(z, time) for z, time in zip(Z, times, strict=True)])
         # The states may all be small, but a component near 0 among others is no small unit.
         least = min(1.0, _size(x, K, dt) or 1.0)
         J = np.stack([_jacobian(f, *args, least) for args in zip(Z, times, F, strict=True)])
-        matrix = identity - dt * np.einsum("ij,ikl->ikjl", A, J).reshape(identity.shape)
+        matrix = np.eye(K.size) - dt * np.einsum("ij,ikl->ikjl", A, J).reshape(K.size, -1)
         try:
             update = np.linalg.solve(matrix, (F - K).ravel()).reshape(K.shape)
         except np.linalg.LinAlgError:
@@ -276,8 +271,3 @@ def _checked(f: Function, complex_state: bool) -> Function:
         return value
 
     return checked
-
-
-def _partial(ts: np.ndarray, xs: np.ndarray) -> Trajectory:
-    states = np.moveaxis(xs, 0, -1)
-    return Trajectory(ts, states if states.ndim > 1 else states[None])

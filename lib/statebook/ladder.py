@@ -117,12 +117,12 @@ def descend(
     # The point itself, in seven places of the batch: a product of matrices rounds each place in
     # its own way, and what that makes of f is noise, too.
     again = np.zeros((3, len(s)))
-    steps = np.concatenate([again, r, -r, again[:1], close, again])
+    steps = along(np.concatenate([again, r, -r, again[:1], close, again]), every)
     cuts = np.cumsum([3, 2 * rungs, 1, len(close)])
-    before, values, between, nearby, after = np.split(along(steps, every), cuts, axis=1)
+    before, values, between, nearby, after = np.split(steps, cuts, axis=1)
     start = f0[:, None]
-    repeated = np.abs(np.concatenate([before, between, after], axis=1) - start).max(axis=1)
-    least = np.maximum(least, 2 * np.nan_to_num(repeated))
+    repeated = np.concatenate([before, between, after], axis=1) - start
+    least = np.maximum(least, 2 * np.nan_to_num(np.abs(repeated).max(axis=1)))
     up, down = values[:, :rungs], values[:, rungs:]
     size = np.nan_to_num(np.maximum(np.abs(up), np.abs(down)), nan=0.0, posinf=np.inf)
     # On each rung the rounding of the largest value there or below, and what is measured.

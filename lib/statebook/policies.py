@@ -5,7 +5,9 @@ from __future__ import annotations
 import bisect
 import itertools
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,7 +17,7 @@ from statebook import _validate
 from statebook.control_trajectory import ControlTrajectory
 from statebook.dense_output import Steps
 from statebook.errors import outside_domain
-from statebook.probes import arguments_of, takes_batches
+from statebook.probes import arguments_of, number_of_inputs, takes_batches
 from statebook.systems import System
 from statebook.times import interval_of
 
@@ -49,20 +51,6 @@ class Control:
         """Whether the control is a function that may depend on the state."""
         return self.plan is None and self.m > 0
 
-    def values(self, states: np.ndarray, times: np.ndarray) -> np.ndarray:
-        """The controls (m, T) or (m, N, T) at samples of a run."""
-        if self.plan is not None:
-            return self.plan(times).reshape(self.m, *self.batch, len(times))
-        values = np.empty((self.m, *self.batch, len(times)))
-        for k, t in enumerate(times):
-            try:
-                values[..., k] = self.policy(states[..., k], float(t))
-            except Exception as error:
-                if not outside_domain(error):
-                    raise
-                values[..., k] = np.nan
-        return values
-
     def stretches(self, start: float, end: float, switches: np.ndarray) -> Iterator[Stretch]:
         """The stretches between switches, and breakpoints of a plan.
 
@@ -80,10 +68,9 @@ class Control:
                 yield Stretch(a, b, self.policy if b == end else _before(self.policy, b))
             return
         pieces = interval_of((cuts[:-1] + cuts[1:]) / 2, plan.breakpoints).tolist()
-        shape = (len(plan.breakpoints) - 1, -1, self.m, *self.batch)
-        coefficients = plan.coefficients.swapaxes(0, 1).reshape(shape)
         for (a, b), k in zip(ends, pieces, strict=True):
-            yield Stretch(a, b, _polynomial(coefficients[k], float(plan.breakpoints[k])))
+            coefficients = plan.coefficients[:, k].reshape(-1, self.m, *self.batch)
+            yield Stretch(a, b, _polynomial(coefficients, float(plan.breakpoints[k])))
 
     def delayed(
         self,
@@ -129,8 +116,6 @@ def held(u: np.ndarray) -> Policy:
 def _polynomial(coefficients: np.ndarray, origin: float) -> Policy:
     """The policy that is a polynomial of the time, highest power first."""
     first, *others = coefficients
-    if not others:
-        return held(first)
 
     def policy(x: np.ndarray, t: float) -> np.ndarray:
         value, since = first, t - origin
@@ -154,17 +139,24 @@ def of_plan(plan: ControlTrajectory, m: int, batch: tuple[int, ...]) -> Control:
     return Control(m, batch, plan, lambda x, t: plan(t).reshape(m, *batch))
 
 
-def at_start(name: str, function: Callable[..., Any], x: np.ndarray, t: float) -> np.ndarray:
-    """Evaluate a function of x and t where a run starts: finite and real, or an error."""
+@contextmanager
+def valued(what: str, x: np.ndarray, t: float) -> Iterator[None]:
+    """Say of what is evaluated that it has no value at a state and a time, where it has none."""
     try:
         with np.errstate(all="ignore"):
-            value = function(x.copy(), t)
+            yield
     except Exception as error:
         if not outside_domain(error):
             raise
         raise ValueError(
-            f"{name} has no value at t = {t:g}, x = {_validate.brief(x)}: {error}"
+            f"{what} no value at t = {t:g}, x = {_validate.brief(x)}: {error}"
         ) from error
+
+
+def at_start(name: str, function: Callable[..., Any], x: np.ndarray, t: float) -> np.ndarray:
+    """Evaluate a function of x and t where a run starts: finite and real, or an error."""
+    with valued(f"{name} has", x, t):
+        value = function(x.copy(), t)
     return np.array(_validate.real_array(name, value))
 
 
@@ -192,7 +184,7 @@ def example_input(
         return value
     samples = times is not None and len(times) == value.size
     one_each = x0.shape[1:] == value.shape
-    if (samples or one_each or value.size > x.size) and _reads_one(system, x, value):
+    if (samples or one_each or value.size > x.size) and _reads_one(system, x):
         if not (samples or one_each):
             raise ValueError(
                 f"u has {value.size} entries, but the function reads only the first: samples of "
@@ -202,19 +194,11 @@ def example_input(
     return value
 
 
-def _reads_one(f: Callable[..., Any], x: np.ndarray, u: np.ndarray) -> bool:
-    """Whether a function f(x, u) reads only the first of so many inputs."""
-    changed = np.concatenate([u[:1], 2 * u[1:] + 1])
-    try:
-        time = (0.0,) if arguments_of(f)[0] > 2 else ()
-        return all(
-            np.array_equal(
-                np.array(f(y.copy(), u.copy(), *time)), np.array(f(y.copy(), changed.copy(), *time))
-            )
-            for y in (x, x + 1e-3 * (1 + np.abs(x)))
-        )
-    except Exception:  # what a function does with so many inputs, if it is not meant for them
-        return True
+def _reads_one(f: Callable[..., Any], x: np.ndarray) -> bool:
+    """Whether a function f(x, u) reads one input, however many it is given."""
+    time = (0.0,) if arguments_of(f)[0] > 2 else ()
+    beside = x + 1e-3 * (1 + np.abs(x))
+    return number_of_inputs(lambda u: f(beside.copy(), u, *time), x.size) == 1
 
 
 def as_control(
@@ -225,44 +209,41 @@ def as_control(
     A function is probed: one that does not take a batch is called column by column.
     """
     m, batch = system.m, x0.shape[1:]
-    if m == 0 and not callable(u) and np.size(u if u is not None else []) == 0:
-        nothing = np.empty((0, *batch))
-        return Control(0, batch, None, held(nothing))
+    if m == 0 and not callable(u) and (u is None or np.size(u) == 0):
+        return Control(0, batch, None, held(np.empty((0, *batch))))
     if not isinstance(u, ControlTrajectory) and not callable(u):
         u = _plan_of(u, m, batch, times, sampled)
     if isinstance(u, ControlTrajectory):
         if u.m != m and u.m != m * int(np.prod(batch)):
             raise ValueError(f"u must have m = {m} inputs, got a control trajectory of {u.m}")
-        _check_span(u, times)
+        start, end = u.breakpoints[[0, -1]]
+        slack = 1e-12 * max(np.abs(times[[0, -1]]).max(), end - start)
+        if times[0] < start - slack or times[-1] > end + slack:
+            raise ValueError(
+                f"u must cover the simulated times [{times[0]:g}, {times[-1]:g}], "
+                f"got a control trajectory over [{start:g}, {end:g}]"
+            )
         return of_plan(u, m, batch)
-    function, t0 = u, float(times[0])
+    function, t0, shape = u, float(times[0]), (m,)
 
-    shape = (m,)
-
-    def alone(x: np.ndarray, t: float) -> np.ndarray:
+    def policy(x: np.ndarray, t: float) -> np.ndarray:
         value = function(x.copy(), t)
         # What `shaped` does with most of them, without a call.
-        if type(value) is np.ndarray and value.shape == shape and value.dtype is _FLOAT:
-            return value
-        return shaped("u(x, t)", value, m, ())
-
-    def together(x: np.ndarray, t: float) -> np.ndarray:
-        return shaped("u(x, t)", function(x.copy(), t), m, batch)
+        if type(value) is np.ndarray and value.dtype is _FLOAT and x.ndim == 1:
+            if value.shape == shape:
+                return value
+        return shaped("u(x, t)", value, m, x.shape[1:])
 
     def one_by_one(x: np.ndarray, t: float) -> np.ndarray:
-        return np.stack([alone(column, t) for column in x.T], axis=1)
+        return np.stack([policy(column, t) for column in x.T], axis=1)
 
     if not batch:
-        return Control(m, batch, None, alone)
+        return Control(m, batch, None, policy)
     # Different columns, or a policy that mixes them up would pass.
     beside = x0 + (1 + np.abs(x0)) * np.linspace(0.0, 1e-3, batch[0])
-    agrees = all(
-        takes_batches(
-            lambda x: together(x, t0), x, alone=lambda column: alone(column, t0), rtol=1e-9
-        )
-        for x in (x0, beside)
-    )
-    return Control(m, batch, None, together if agrees else one_by_one)
+    now = partial(policy, t=t0)
+    agrees = all(takes_batches(now, x, alone=now, rtol=1e-9) for x in (x0, beside))
+    return Control(m, batch, None, policy if agrees else one_by_one)
 
 
 def _plan_of(
@@ -271,33 +252,19 @@ def _plan_of(
     """The plan of a held number or array, or of samples at the times."""
     value = np.zeros(m) if u is None else _validate.real_array("u", u)
     count = 0 if sampled is None else len(sampled)
-    held = value.shape in ((m,), (m, *batch), () if m == 1 else (m,), batch if m == 1 else (m,))
-    if sampled is not None and count > 1 and not held:
-        if value.shape == (count,) and m == 1:
-            value = value[None]
-        if value.shape == (m, count):
+    forms = [(m,), (m, *batch)] + ([(), batch] if m == 1 else [])
+    if value.shape not in forms:
+        if value.shape in ((m, count), (count,) if m == 1 else ()) and count > 1:
             return ControlTrajectory.piecewise_linear(sampled, value)
-    if not held:
         rule = f"u must have shape ({m},)" + (f" or ({m}, {batch[0]})" if batch else "")
         if count > 1:
             rule += f", or ({m}, {count}), one column for each of the times"
-        hint = "" if count or value.ndim == 0 or len(value.T) < 2 else (
-            "; samples of a control go with times= of the same length"
-        )  # fmt: skip
+        hint = "; samples of a control go with times= of the same length"
+        hint = hint if not count and value.ndim and len(value.T) > 1 else ""
         raise ValueError(f"{rule}, got {value.shape}{hint}")
     value = shaped("u", value, m, batch)
     end = times[-1] if len(times) > 1 else times[0] + 1.0
     return ControlTrajectory(np.array([times[0], end]), value.reshape(1, 1, -1))
-
-
-def _check_span(u: ControlTrajectory, times: np.ndarray) -> None:
-    start, end = u.breakpoints[[0, -1]]
-    slack = 1e-12 * max(np.abs(times[[0, -1]]).max(), end - start)
-    if times[0] < start - slack or times[-1] > end + slack:
-        raise ValueError(
-            f"u must cover the simulated times [{times[0]:g}, {times[-1]:g}], "
-            f"got a control trajectory over [{start:g}, {end:g}]"
-        )
 
 
 def shaped(name: str, value: Any, m: int, batch: tuple[int, ...]) -> np.ndarray:

@@ -7,14 +7,13 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from statebook.control_trajectory import ControlTrajectory
+from statebook import _validate
 from statebook.dense_output import DenseOutput, Steps
 from statebook.errors import DivergenceError
-from statebook.policies import Control, Stretch, held, of_plan
+from statebook.policies import Control, Stretch, held
 from statebook.solvers import SOLVERS
-from statebook.stepping import Flow, Solver, StoppedError, fixed_steps, iterate
+from statebook.stepping import Flow, Solver, StoppedError, fixed_steps
 from statebook.systems import System
-from statebook.times import tick
 from statebook.trajectory import Trajectory, of_run
 
 _CONTRADICTION = 1e4  # tolerances
@@ -22,7 +21,7 @@ _LOOSE = 0.3  # of the states: what no tolerance makes a contradiction
 
 
 def through(
-    system: System,
+    flow: Flow,
     steps: Steps,
     solver: Solver,
     stretches: Iterable[Stretch],
@@ -30,20 +29,22 @@ def through(
     *,
     per_interval: bool = False,
 ) -> Trajectory:
-    """Run a system in continuous time through stretches; control() is asked at the end."""
-    flow = Flow(system, batch=steps.state.ndim == 2)
-    last = float(steps.times[-1])
-
-    def work() -> None:
-        if solver.method in SOLVERS:
-            solver.run(flow, steps, stretches, last)
-        else:
-            fixed_steps(flow, steps, stretches, solver.method)
-
-    stop = _attempt(work)
+    """Run a system through stretches; control() is asked at the end."""
+    system = flow.system
+    stop = None
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        # An overflow is reported as the divergence it is; the solver's status says the rest.
+        warnings.filterwarnings("ignore", module=r"scipy\.")
+        try:
+            if solver.method in SOLVERS and not system.discrete:
+                solver.run(flow, steps, stretches, float(steps.times[-1]))
+            else:
+                fixed_steps(flow, steps, stretches, solver.method)
+        except StoppedError as stopped:
+            stop = stopped
     with np.errstate(all="ignore"):
         dense, felt = steps.settle(), control()
-    states, times = _samples(steps)
+    times, states = steps.taken_samples()
     beyond = ~np.isfinite(states.reshape(-1, len(times))).all(axis=0)
     if beyond.any():  # within the last step, or where an interpolation asks outside the domain
         states, times = states[..., : np.argmax(beyond)], times[: np.argmax(beyond)]
@@ -53,110 +54,41 @@ def through(
     if system.m:
         with np.errstate(all="ignore"):
             at = times[:-1] if per_interval else times
-            controls = felt.values(states, at)
-    run = _trajectory(system, solver, states, times, controls, stop, dense, felt.plan)
+            if felt.plan is not None:
+                controls = felt.plan(at).reshape(system.m, *felt.batch, len(at))
+            else:
+                given = zip(np.moveaxis(states, -1, 0), at.tolist(), strict=False)
+                controls = np.stack([flow.control(felt.policy, *xt) for xt in given], axis=-1)
+    if controls is not None and not np.isfinite(controls).all():
+        if stop is None:
+            k = int(np.argmin(np.isfinite(controls).reshape(-1, controls.shape[-1]).all(axis=0)))
+            raise ValueError(f"u(x, t) must be finite, got {controls[..., k]} at t = {times[k]:g}")
+        controls = None  # the control is what stopped the simulation
+    labels = system.inputs if controls is not None else None
+    found = tuple(solver.found)
+    run = of_run(
+        Trajectory(times, states, controls, (), system.states, labels, found),
+        dense,
+        felt.plan if system.m and controls is not None else None,
+    )
     if stop is not None:
-        raise _divergence(system, stop, run, steps)
+        raise DivergenceError(
+            f"simulation of {system.name} stopped at t = {stop.time:.6g}, x = "
+            f"{_validate.brief(stop.state)}: {stop}; "
+            f"{len(run.times)} of {len(steps.times)} samples are in .trajectory",
+            time=stop.time,
+            state=stop.state,
+            trajectory=run,
+        )
     if felt.is_policy and controls is not None and dense is not None and dense.curve:
         with np.errstate(all="ignore"):
             _warn_of_contradiction(run, dense, controls, flow, solver)
     return run
 
 
-def iterated(
-    system: System,
-    steps: Steps,
-    solver: Solver,
-    control: Control,
-    *,
-    lag: int = 0,
-    before: np.ndarray | None = None,
-    per_interval: bool = False,
-) -> Trajectory:
-    """Run a system in discrete time; the controls of all its samples are kept.
-
-    The control arrives `lag` samples later; until then, `before` acts.
-    """
-    dt, start = float(system.dt or 1), steps.time
-    flow = Flow(system, batch=steps.state.ndim == 2)
-    applied: list[np.ndarray] = []
-    stop = _attempt(lambda: iterate(flow, steps, control.policy, dt, lag, before, applied))
-    states, times = _samples(steps)
-    controls = plan = None
-    if system.m:
-        at = times[:-1] if per_interval else times
-        picked = np.round((at - start) / dt).astype(int)
-        controls = np.moveaxis(np.array(applied)[picked], 0, -1)
-        held = np.array(applied[: round((times[-1] - start) / dt)]).reshape(
-            -1, controls[..., 0].size
-        )
-        if len(held) and np.isfinite(held).all():
-            breaks = np.array([tick(start, dt, k) for k in range(len(held) + 1)])
-            plan = of_plan(ControlTrajectory(breaks, held[None]), system.m, control.batch).plan
-    run = _trajectory(system, solver, states, times, controls, stop, None, plan)
-    if stop is not None:
-        raise _divergence(system, stop, run, steps)
-    return run
-
-
 def may_vary(system: System) -> bool:
     """Whether the dynamics may depend on time by themselves."""
     return system.timed or (system.source is None and not system.linear)
-
-
-def _attempt(work: Callable[[], object]) -> StoppedError | None:
-    with np.errstate(all="ignore"), warnings.catch_warnings():
-        # An overflow is reported as the divergence it is; the solver's status says the rest.
-        warnings.filterwarnings("ignore", module=r"scipy\.")
-        try:
-            work()
-        except StoppedError as stop:
-            return stop
-    return None
-
-
-def _samples(steps: Steps) -> tuple[np.ndarray, np.ndarray]:
-    states = np.concatenate(steps.samples, axis=-1)
-    return states, steps.times[: states.shape[-1]]
-
-
-def _trajectory(
-    system: System,
-    solver: Solver,
-    states: np.ndarray,
-    times: np.ndarray,
-    controls: np.ndarray | None,
-    stop: StoppedError | None,
-    dense: DenseOutput | None,
-    plan: ControlTrajectory | None,
-) -> Trajectory:
-    if controls is not None and not np.isfinite(controls).all():
-        if stop is None:
-            k = int(np.argmin(np.isfinite(controls).reshape(-1, controls.shape[-1]).all(axis=0)))
-            raise ValueError(f"u(x, t) must be finite, got {controls[..., k]} at t = {times[k]:g}")
-        controls = None  # the control is what stopped the simulation
-    samples = Trajectory(
-        times,
-        states,
-        controls,
-        state_labels=system.states,
-        input_labels=None if controls is None else system.inputs,
-        events=tuple(solver.found),
-    )
-    return of_run(samples, dense, None if controls is None else plan)
-
-
-def _divergence(
-    system: System, stop: StoppedError, run: Trajectory, steps: Steps
-) -> DivergenceError:
-    return DivergenceError(
-        f"simulation of {system.name} stopped at t = {stop.time:.6g}, x = "
-        f"{np.array2string(stop.state, precision=4, threshold=8)}: {stop}; "
-        f"{len(run.times)} of {len(steps.times)} samples are in .trajectory",
-        time=stop.time,
-        state=stop.state,
-        trajectory=run,
-    )
 
 
 def _warn_of_contradiction(

@@ -173,8 +173,7 @@ def map_eigenvalues(s: Any, dt: float, method: str = "zoh") -> np.ndarray:
         return np.exp(z)
     if method == "euler":
         return 1 + z
-    below = 1 - (z if method == "backward_euler" else z / 2)
-    above = np.ones_like(z) if method == "backward_euler" else 1 + z / 2
+    above, below = (1 + 0 * z, 1 - z) if method == "backward_euler" else (1 + z / 2, 1 - z / 2)
     return np.divide(above, below, out=np.full_like(z, np.inf), where=below != 0)
 
 
@@ -184,17 +183,18 @@ def one_step(A: np.ndarray, B: np.ndarray, h: Any, method: str) -> tuple[np.ndar
     identity = np.broadcast_to(np.eye(n), A.shape)
     if method == "euler":
         return identity + h * A, h * B
-    if method == "zoh":
-        # exp of [[A, B], [0, 0]] h: no inverse of A.
-        E = _exponential(h * _stacked(A, B, m))
-        return E[..., :n, :n], E[..., :n, n:]
-    if method == "foh":
-        # The ramp's response from two integrators in a row, in units of the sample time.
-        block = _stacked(h * A, h * B, 2 * m)
-        block[..., n : n + m, n + m :] = np.eye(m)
-        E = _exponential(block)
+    if method in ("zoh", "foh"):
+        # exp of [[A, B], [0, 0]] h: no inverse of A. The ramp's response from two integrators
+        # in a row, in units of the sample time.
+        size = n + (m if method == "zoh" else 2 * m)
+        block = np.zeros((*A.shape[:-2], size, size), dtype=np.result_type(A, B))
+        block[..., :n, :n], block[..., :n, n : n + m] = h * A, h * B
+        block[..., n : size - m, n + m :] = np.eye(size - n - m)
+        with np.errstate(all="ignore"):
+            E = np.asarray(scipy.linalg.expm(block))
+        _require_finite(E)
         Ad, held, ramp = E[..., :n, :n], E[..., :n, n : n + m], E[..., :n, n + m :]
-        return Ad, held - ramp + Ad @ ramp
+        return Ad, held if method == "zoh" else held - ramp + Ad @ ramp
     weight = h if method == "backward_euler" else h / 2
     try:
         S = np.linalg.inv(identity - weight * A)
@@ -216,21 +216,6 @@ def _no_step(method: str, h: float) -> ValueError:
 def _require_finite(E: np.ndarray) -> None:
     if not np.isfinite(E).all():
         raise ValueError("dt must be shorter: exp(A dt) exceeds the largest floating-point number")
-
-
-def _exponential(M: np.ndarray) -> np.ndarray:
-    with np.errstate(all="ignore"):
-        E = scipy.linalg.expm(M)
-    _require_finite(E)
-    return np.asarray(E)
-
-
-def _stacked(A: np.ndarray, B: np.ndarray, extra: int) -> np.ndarray:
-    """[[A, B, 0], [0, 0, 0]] with `extra` columns and rows after A."""
-    n, m = B.shape[-2:]
-    block = np.zeros((*A.shape[:-2], n + extra, n + extra), dtype=np.result_type(A, B))
-    block[..., :n, :n], block[..., :n, n : n + m] = A, B
-    return block
 
 
 def _state_space(sys: Any) -> control.StateSpace:

@@ -11,22 +11,20 @@ from statebook import _validate
 from statebook.clock import Clock
 from statebook.control_trajectory import ControlTrajectory
 from statebook.dense_output import Steps
-from statebook.errors import outside_domain
 from statebook.events import watches
 from statebook.models.base import Model
-from statebook.policies import Control, as_control, as_plan, at_start, example_input, shaped
+from statebook.policies import Policy, as_control, as_plan, at_start, example_input, shaped, valued
 from statebook.probes import takes_batches
 from statebook.runge_kutta import METHODS, SEMI_IMPLICIT_EULER
-from statebook.runs import iterated, may_vary, through
+from statebook.runs import may_vary, through
 from statebook.solvers import SOLVERS
-from statebook.stepping import Solver
+from statebook.stepping import Flow, Solver
 from statebook.systems import System, as_system
 from statebook.times import increasing, tick
 from statebook.trajectory import Trajectory
 
 _FIXED_STEP = (*METHODS, SEMI_IMPLICIT_EULER)
 _SAMPLES = 201
-_EVENTS = f"events need continuous time and a method of {', '.join(SOLVERS)}"
 
 
 def simulate(
@@ -145,15 +143,12 @@ def simulate(
     before = _control("u_before", u_before, known.m, x0.shape[1:])
     delay = _validate.non_negative("delay", delay)
     switches = np.union1d(_validate.real_array("switches", switches, (None,)), [])
-    if events is not None and (known.discrete or method in _FIXED_STEP):
-        raise ValueError(_EVENTS)
-    solver.events = watches(events, x0, start)
     first = before if delay else at_start("u(x0, t0)", control.policy, x0, start)
-    known = _checked(known, x0, first, start)
+    known = _checked(known, solver, events, x0, first, start)
     steps = Steps(x0, times, by_rows=solver.by_rows, all_kept=delay > 0)
     if known.discrete:
-        lag = _require_whole("delay", delay, known)
-        return iterated(known, steps, solver, control, lag=lag, before=before)
+        _require_whole("delay", delay, known, f", got {delay:g}")
+        return _iterated(known, steps, solver, control.policy, delay, before)
     end = float(times[-1])
     if delay > 1e-11 * (end - start):  # below, it is lost in the rounding of t
         if method in _FIXED_STEP:
@@ -165,7 +160,7 @@ def simulate(
     if max_step is None and (control.is_policy or may_vary(known)):
         switches = np.union1d(switches, solver.stay_within(times))
     stretches = control.stretches(start, end, switches) if end > start else ()
-    return through(known, steps, solver, stretches, lambda: control)
+    return through(Flow(known, x0), steps, solver, stretches, lambda: control)
 
 
 def simulate_clocked(
@@ -238,31 +233,56 @@ def simulate_clocked(
     solver = _solver(method, rtol, atol, max_step, max_steps, len(x0))
     count = int(np.ceil(duration / period * (1 - 1e-12)))
 
-    def command(x: np.ndarray, t: float) -> Any:
+    def asked(x: np.ndarray, t: float) -> Any:
         if isinstance(policy, ControlTrajectory):
             return policy(t)
         return policy(x.copy(), t) if callable(policy) else policy
 
-    first = at_start("policy(x0, 0)", command, x0, 0.0)
+    first = at_start("policy(x0, 0)", asked, x0, 0.0)
     alone = first.ndim == 1 and first.shape == x0.shape[1:] and first.size > 1
     known = _as_system(system, x0, first[:1] if alone else np.atleast_1d(first), 0.0)
     m, batch = known.m, x0.shape[1:]
     before = _control("u_before", u_before, m, batch)
-    clock = Clock(command, period, count, delay, before, first)
-    known = _checked(known, x0, clock.acting, 0.0)
-    if events is not None and (known.discrete or method in _FIXED_STEP):
-        raise ValueError(_EVENTS)
-    solver.events = watches(events, x0, 0.0)
+
+    def command(x: np.ndarray, t: float) -> np.ndarray:
+        return shaped("policy(x, t)", asked(x, t), m, batch).copy()
+
+    ticks = [tick(0.0, period, k) for k in range(count + 1)]
+    clock = Clock(command, ticks, delay, before, shaped("policy(x, t)", first, m, batch))
+    known = _checked(known, solver, events, x0, clock.sample(x0, 0.0), 0.0)
     times = np.array([tick(0.0, period / samples, k) for k in range(count * samples + 1)])
-    times[::samples] = [tick(0.0, period, k) for k in range(count + 1)]
+    times[::samples] = ticks
     steps = Steps(x0, times, by_rows=solver.by_rows)
     if known.discrete:
-        _require_whole("period / samples", period / samples, known)
-        control = Control(m, batch, None, clock.sample)
-        return iterated(known, steps, solver, control, per_interval=True)
+        step = period / samples
+        _require_whole("period / samples", step, known, f", got {step:g}")
+        return _iterated(known, steps, solver, clock.sample, 0.0, before, per_interval=True)
     if max_step is None and may_vary(known):
         solver.stay_within(times)
-    return through(known, steps, solver, clock.stretches(steps), clock.control, per_interval=True)
+    flow = Flow(known, x0)
+    stretches = clock.stretches(flow.control, steps)
+    return through(flow, steps, solver, stretches, clock.control, per_interval=True)
+
+
+def _iterated(
+    system: System,
+    steps: Steps,
+    solver: Solver,
+    policy: Policy,
+    delay: float,
+    before: np.ndarray,
+    *,
+    per_interval: bool = False,
+) -> Trajectory:
+    """Run a system in discrete time: a clock holds the control for a sample."""
+    start, dt = steps.time, float(system.dt or 1)
+    wanted = np.round((steps.times - start) / dt).astype(int)
+    ticks = [tick(start, dt, k) for k in range(wanted[-1] + 2)]
+    steps.times = np.array(ticks)[wanted]
+    flow = Flow(system, steps.state)
+    clock = Clock(policy, ticks, delay, before)
+    stretches = clock.stretches(flow.control, steps)
+    return through(flow, steps, solver, stretches, clock.control, per_interval=per_interval)
 
 
 def _state(x0: Any) -> np.ndarray:
@@ -274,15 +294,8 @@ def _state(x0: Any) -> np.ndarray:
 
 def _as_system(system: Any, x0: np.ndarray, u: np.ndarray | None, t: float) -> System:
     """View a system as one; errors speak of u."""
-    try:
-        with np.errstate(all="ignore"):
-            known = as_system(system, x0, u, names=("x0", "u"))
-    except (ValueError, ArithmeticError) as error:
-        if not outside_domain(error):
-            raise
-        raise ValueError(
-            f"the dynamics have no value at t = {t:g}, x = {_validate.brief(x0)}: {error}"
-        ) from error
+    with valued("the dynamics have", x0, t):
+        known = as_system(system, x0, u, names=("x0", "u"))
     if known.n != len(x0):
         raise ValueError(f"x0 must have n = {known.n} rows for {known.name}, got {x0.shape}")
     if isinstance(system, Model):  # the checks of its dynamics take longer than the equations
@@ -315,17 +328,15 @@ def _control(name: str, value: Any, m: int, batch: tuple[int, ...]) -> np.ndarra
     return shaped(name, value, m, batch)
 
 
-def _checked(system: System, x0: np.ndarray, u: np.ndarray, t: float) -> System:
+def _checked(
+    system: System, solver: Solver, events: Any, x0: np.ndarray, u: np.ndarray, t: float
+) -> System:
     """Check the dynamics where a run starts; a plain function in all columns of a batch."""
-    with np.errstate(all="ignore"):
-        try:
-            value = system.dynamics(x0, u, t)
-        except Exception as error:
-            if not outside_domain(error):
-                raise
-            raise ValueError(
-                f"the dynamics have no value at t = {t:g}, x = {_validate.brief(x0)}: {error}"
-            ) from error
+    if events is not None and (system.discrete or solver.method in _FIXED_STEP):
+        raise ValueError(f"events need continuous time and a method of {', '.join(SOLVERS)}")
+    solver.events = watches(events, x0, t)
+    with valued("the dynamics have", x0, t):
+        value = system.dynamics(x0, u, t)
     if np.iscomplexobj(value):
         raise TypeError(f"{system.name} must return real numbers for real x, got complex ones")
     plain = callable(system.source) and not hasattr(system.source, "dynamics")
@@ -339,28 +350,22 @@ def _checked(system: System, x0: np.ndarray, u: np.ndarray, t: float) -> System:
     return system if agrees else replace(system, batched=False)
 
 
-def _require_whole(name: str, span: float, system: System) -> int:
+def _require_whole(name: str, spans: Any, system: System, got: str) -> None:
     dt = float(system.dt or 1)
-    if abs(span - round(span / dt) * dt) > 1e-9 * max(dt, span):
-        raise ValueError(f"{name} must be whole samples of dt = {dt:g}, got {span:g}")
-    return round(span / dt)
+    if np.any(np.abs(spans - np.round(spans / dt) * dt) > 1e-9 * np.maximum(dt, np.abs(spans))):
+        raise ValueError(f"{name} must be whole samples of dt = {dt:g}{got}")
 
 
 def _times(given: np.ndarray | None, duration: Any, start: float, system: System) -> np.ndarray:
     if (given is None) == (duration is None):
         raise ValueError("give either duration or times" + (", not both" if duration else ""))
-    if given is None:
-        duration = _validate.positive("duration", duration)
-    if not system.discrete:
-        return np.linspace(start, start + duration, _SAMPLES) if given is None else given
-    dt = float(system.dt or 1)
-    spans = np.array([duration]) if given is None else given - start
-    counts = np.round(spans / dt)
-    if np.any(np.abs(spans - counts * dt) > 1e-9 * np.maximum(dt, np.abs(spans))):
-        name = "duration" if given is None else "times"
-        raise ValueError(
-            f"{name} must be whole samples of dt = {dt:g} apart, got {duration or given}"
-        )
     if given is not None:
+        if system.discrete:
+            _require_whole("times", given - start, system, f" apart, got {given}")
         return given
-    return np.array([tick(start, dt, k) for k in range(int(counts[0]) + 1)])
+    duration = _validate.positive("duration", duration)
+    if not system.discrete:
+        return np.linspace(start, start + duration, _SAMPLES)
+    _require_whole("duration", duration, system, f" apart, got {duration}")
+    dt = float(system.dt or 1)
+    return np.array([tick(start, dt, k) for k in range(round(duration / dt) + 1)])

@@ -3,20 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import scipy
 
-from statebook.dense_output import StepPolynomial
-
-EXPLICIT = ("RK45", "RK23", "DOP853")
-SOLVERS = (*EXPLICIT, "Radau", "BDF", "LSODA")
 _SAFETY, _SHRINK, _GROW = 0.9, 0.2, 10.0  # of a step, as in SciPy
-_SMALLEST_RTOL = 100 * np.finfo(float).eps  # SciPy's own limit
-
-Rate = Callable[[float, np.ndarray], np.ndarray]
 
 
 class _ByColumns:
@@ -72,74 +64,23 @@ class _ByColumns:
 
     def _worst(self: Any, h: float, scale: np.ndarray) -> float:
         """The largest of the columns' error norms, in units of the tolerance."""
-        return h * self._size(self.E.dot(self.K) / scale) ** 0.5
-
-    def _size(self: Any, errors: np.ndarray) -> float:
-        """The largest of the columns' mean squares."""
-        if self.columns == 1:
-            return float(errors.dot(errors)) / errors.size
-        squares = (errors * errors).reshape(-1, self.columns)
-        return float(squares.sum(axis=0).max()) / len(squares)
-
-
-class _Polynomial(_ByColumns):
-    """A step that is known as a polynomial in the time since its start."""
-
-    def dense_output(self: Any) -> StepPolynomial:
-        return StepPolynomial(self.t_old, self.t, self.y_old, self.P.T.dot(self.K))
-
-
-class _RK45(_Polynomial, scipy.integrate.RK45):  # type: ignore[misc]
-    pass
-
-
-class _RK23(_Polynomial, scipy.integrate.RK23):  # type: ignore[misc]
-    pass
-
-
-class _DOP853(_ByColumns, scipy.integrate.DOP853):  # type: ignore[misc]
-    def _worst(self: Any, h: float, scale: np.ndarray) -> float:
-        fifth, third = self.E5.dot(self.K) / scale, self.E3.dot(self.K) / scale
-        if self.columns > 1:  # the same for each column by itself
-            shape = (-1, self.columns)
-            fifth, third = ((e**2).reshape(shape).mean(axis=0) for e in (fifth, third))
-        else:
-            fifth, third = (np.atleast_1d(e.dot(e) / e.size) for e in (fifth, third))
+        if not hasattr(self, "E5"):
+            return h * float(self._squares(self.E, scale).max()) ** 0.5
+        fifth, third = self._squares(self.E5, scale), self._squares(self.E3, scale)
         below = np.sqrt(fifth + 0.01 * third)
-        return h * float(np.divide(fifth, below, out=0 * fifth, where=below != 0).max())
+        return h * float((fifth / (below + (below == 0))).max())
+
+    def _squares(self: Any, weights: np.ndarray, scale: np.ndarray) -> Any:
+        """The columns' mean squares of an error."""
+        errors = weights.dot(self.K) / scale
+        if self.columns == 1:
+            return errors.dot(errors) / errors.size
+        errors = errors.reshape(-1, self.columns)
+        return np.einsum("ij,ij->j", errors, errors) / len(errors)
 
 
-_CLASSES = {"RK45": _RK45, "RK23": _RK23, "DOP853": _DOP853}
-
-
-def start_solver(
-    method: str,
-    rate: Rate,
-    t: float,
-    y: np.ndarray,
-    end: float,
-    *,
-    columns: int,
-    rtol: float,
-    atol: np.ndarray,
-    max_step: float,
-    first_step: float | None,
-) -> Any:
-    """A SciPy solver of `columns` trajectories, as accurate as if each ran alone.
-
-    The explicit ones hold y as (n, N) row by row, the others one trajectory after another.
-    """
-    options: dict[str, Any] = {"max_step": max_step, "first_step": first_step}
-    if method in EXPLICIT:
-        kind = _CLASSES[method]
-        options["columns"] = columns
-    else:
-        kind = getattr(scipy.integrate, method)
-        rtol, atol = rtol / columns**0.5, atol / columns**0.5
-        size = y.size // columns
-        if columns > 1 and method == "LSODA":
-            options.update(lband=size - 1, uband=size - 1)
-        elif columns > 1:
-            blocks = scipy.sparse.kron(scipy.sparse.eye_array(columns), np.ones((size, size)))
-            options.update(jac_sparsity=blocks.tocsc())
-    return kind(rate, t, y, end, rtol=max(rtol, _SMALLEST_RTOL), atol=atol, **options)
+EXPLICIT = {
+    name: type(name, (_ByColumns, getattr(scipy.integrate, name)), {})
+    for name in ("RK45", "RK23", "DOP853")
+}
+SOLVERS = (*EXPLICIT, "Radau", "BDF", "LSODA")

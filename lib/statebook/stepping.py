@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
+import bisect
 import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import scipy
 
 from statebook.dense_output import Steps, unflatten
 from statebook.errors import outside_domain
 from statebook.events import Event, Watch
-from statebook.integration import step_of
+from statebook.integration import Function, step_of
 from statebook.policies import Policy, Stretch, held
-from statebook.solvers import EXPLICIT, start_solver
+from statebook.solvers import EXPLICIT
 from statebook.systems import System
-from statebook.times import tick
 
 _CHECK_EVERY = 5_000  # steps
 _MANY = 1_000_000  # steps: minutes to hours of computing
 _HOPELESS = 1e9  # steps: days
 _COLLAPSED = 0.01  # of a length that steps once had: the control chatters
+_SMALLEST_RTOL = 100 * np.finfo(float).eps  # SciPy's own limit
 _HINT = (
     "is the control discontinuous in x (sample it with simulate_clocked), or the system stiff "
     '(method="LSODA")? Where it is just long, give max_steps='
@@ -44,11 +46,11 @@ class Flow:
     the last trouble before it gives up is the caller's.
     """
 
-    def __init__(self, system: System, *, batch: bool) -> None:
+    def __init__(self, system: System, x: np.ndarray) -> None:
         self.system = system
         self.trouble = ""
         self.error: Exception | None = None
-        self._rate = self._by_columns if batch and not system.batched else system.rate
+        self._rate = self._by_columns if x.ndim == 2 and not system.batched else system.rate
 
     def __call__(self, x: np.ndarray, policy: Policy, t: float) -> np.ndarray:
         """Evaluate the dynamics; it may be the function's own buffer."""
@@ -89,13 +91,11 @@ class Flow:
         """Note why the dynamics are not finite."""
         if not np.isfinite(x).all():
             self.trouble = self.trouble or f"the state is not finite after t = {t:.6g}"
-            return
-        u = self.control(policy, x, t)
-        if not np.isfinite(u).all():
+        elif not np.isfinite(u := self.control(policy, x, t)).all():
             self.trouble = self.trouble or f"u(x, t) is not finite at t = {t:.6g}"
-            return
-        self.trouble = f"the dynamics are not finite at t = {t:.6g}"
-        self(x, held(u), t)
+        else:
+            self.trouble = f"the dynamics are not finite at t = {t:.6g}"
+            self(x, held(u), t)
 
     def _by_columns(self, x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
         rates = [self.system.rate(*column, t) for column in zip(x.T, u.T, strict=True)]
@@ -113,54 +113,22 @@ class Flow:
         return np.nan * x
 
 
-def iterate(
-    flow: Flow,
-    steps: Steps,
-    policy: Policy,
-    dt: float,
-    lag: int,
-    before: np.ndarray | None,
-    applied: list[np.ndarray],
-) -> None:
-    """Iterate a map to the last of the times.
-
-    Parameters
-    ----------
-    lag : int
-        Samples by which the control arrives later.
-    before : array, shape (m,) or (m, N)
-        The control until it arrives.
-    applied : list
-        Takes the controls of all samples.
-    """
-    start = steps.time
-    wanted = np.round((steps.times - start) / dt).astype(int)
-    commands = []
-    for k in range(wanted[-1] + 1):
-        x, t = steps.state, tick(start, dt, k)
-        commands.append(flow.control(policy, x, t))
-        u = commands[k - lag] if k >= lag or before is None else before
-        applied.append(u)
-        if k == wanted[-1]:
-            return
-        flow.trouble = ""
-        x_next = flow.checked(x, held(u), t)
-        if not np.isfinite(x_next).all():
-            raise StoppedError(flow.trouble, t, x)
-        taken = wanted[steps.taken] == k + 1
-        steps.advance(steps.times[steps.taken] if taken else tick(start, dt, k + 1), x_next)
+def _iterate(rate: Function, x: np.ndarray, t: float, dt: float) -> np.ndarray:
+    return np.asarray(rate(x, t))
 
 
 def fixed_steps(flow: Flow, steps: Steps, stretches: Iterable[Stretch], method: str) -> None:
-    """Make one step from each time or end of a stretch to the next."""
-    step = step_of(method, steps.state.shape)
+    """Make one step from each time or end of a stretch to the next; a map is its own step."""
+    step = _iterate if flow.system.discrete else step_of(method, steps.state.shape)
+    last = steps.times[-1]
     for start, end, policy in stretches:
 
         def rate(x: np.ndarray, t: float, policy: Policy = policy) -> np.ndarray:
             return flow.checked(x, policy, float(t))
 
         t = start
-        while t < end:
+        while t < min(end, last):
+            flow.trouble = ""
             x, target = steps.state, min(steps.times[steps.taken], end)
             try:
                 x_next = step(rate, x, t, target - t)
@@ -195,7 +163,8 @@ class Solver:
     max_steps: float | None
     events: list[Watch] = field(default_factory=list)
     found: list[Event] = field(default_factory=list)
-    _times: np.ndarray | None = None
+    _times: list[float] = field(default_factory=list)
+    _gaps: list[float] = field(default_factory=list)
     _pace: float = 0.0
 
     @property
@@ -206,26 +175,21 @@ class Solver:
     def stay_within(self, times: np.ndarray) -> np.ndarray:
         """Let no step be longer than the distance of the times there; return its switches."""
         gaps = np.diff(times)
-        if len(gaps) and np.ptp(gaps) <= 1e-9 * gaps[0]:
-            self.max_step = min(self.max_step, float(gaps.max()))
-        elif len(gaps):
-            self._times = times
-            if self.method == "LSODA":  # its longest step is fixed from start to start
-                return times
-        return times[:0]
+        self._times, self._gaps = times.tolist(), [*gaps.tolist(), *gaps[-1:].tolist()]
+        # LSODA's longest step is fixed from start to start.
+        uneven = self.method == "LSODA" and len(gaps) and np.ptp(gaps) > 1e-9 * gaps[0]
+        return times if uneven else times[:0]
 
     def _longest(self, t: float) -> float:
         """The longest step from a time."""
-        if self._times is None:
+        if not self._gaps:
             return self.max_step
-        k = int(np.searchsorted(self._times[:-1], t, side="right")) - 1
-        here, *after = np.diff(self._times[k : k + 3]).tolist()
-        return min(self.max_step, here, max(self._times[k + 1] - t, *after or [here]))
+        k = bisect.bisect_right(self._times, t, hi=len(self._times) - 1) - 1
+        return min(self.max_step, self._gaps[k], max(self._times[k + 1] - t, self._gaps[k + 1]))
 
     def run(self, flow: Flow, steps: Steps, stretches: Iterable[Stretch], last: float) -> None:
         """Go through the stretches, to the last time or a terminal event."""
         shape, batch = steps.state.shape, steps.state.ndim == 2
-        atol = np.broadcast_to(self.atol.reshape(-1, *[1] * (len(shape) - 1)), shape)
         solver, longest = None, 0.0
         count, mark = 0, steps.time
         for start, end, policy in stretches:
@@ -235,9 +199,6 @@ class Solver:
 
             def fast(t: float, y: np.ndarray, policy: Policy = policy) -> np.ndarray:
                 return flow(y.reshape(shape), policy, t).ravel() if batch else flow(y, policy, t)
-
-            def explain(t: float, y: np.ndarray, policy: Policy = policy) -> None:
-                flow.explain(y.reshape(shape), policy, t)
 
             flow.trouble = ""
             y = self._flat(steps.state)
@@ -249,20 +210,9 @@ class Solver:
                 solver.f, solver.t_bound, solver.status = slope, end, "running"
                 solver.h_abs = max(solver.h_abs, longest)
             else:
-                solver = start_solver(
-                    self.method,
-                    rate,
-                    start,
-                    y,
-                    end,
-                    columns=y.size // len(steps.state),
-                    rtol=self.rtol,
-                    atol=self._flat(atol),
-                    max_step=self._longest(start),
-                    first_step=min(longest, end - start) or None,
-                )
+                solver = self._start(rate, start, y, end, shape, min(longest, end - start))
             if self.by_rows:  # their steps copy at once, and ask for the trouble
-                solver.fun, solver.explain = fast, explain
+                solver.fun, solver.explain = fast, rate
             longest = 0.0
             while solver.status == "running":
                 flow.trouble = ""
@@ -279,6 +229,28 @@ class Solver:
                     self._check_pace(steps, last, count, mark)
                     mark = steps.time
 
+    def _start(
+        self, rate: Any, t: float, y: np.ndarray, end: float, shape: tuple[int, ...], first: float
+    ) -> Any:
+        """A SciPy solver of the columns of a batch, as accurate as if each ran alone.
+
+        The explicit ones hold y as (n, N) row by row, the others one trajectory after another.
+        """
+        n, columns, rtol = shape[0], y.size // shape[0], self.rtol
+        atol = self._flat(np.broadcast_to(self.atol.reshape(-1, *[1] * (len(shape) - 1)), shape))
+        options: dict[str, Any] = {"max_step": self._longest(t), "first_step": first or None}
+        if self.by_rows:
+            options["columns"] = columns
+        else:
+            rtol, atol = rtol / columns**0.5, atol / columns**0.5
+            if columns > 1 and self.method == "LSODA":
+                options.update(lband=n - 1, uband=n - 1)
+            elif columns > 1:
+                blocks = scipy.sparse.kron(scipy.sparse.eye_array(columns), np.ones((n, n)))
+                options["jac_sparsity"] = blocks.tocsc()
+        kind = EXPLICIT.get(self.method) or getattr(scipy.integrate, self.method)
+        return kind(rate, t, y, end, rtol=max(rtol, _SMALLEST_RTOL), atol=atol, **options)
+
     def _flat(self, x: np.ndarray) -> np.ndarray:
         return x.ravel() if self.by_rows else x.T.ravel()
 
@@ -286,7 +258,8 @@ class Solver:
         """Look for events in the last step; whether a terminal one ended the run."""
         located = []
         # At the samples too, or a step could pass zero and return.
-        for t in [*steps.times_between(start, steps.time), steps.time]:
+        inside = steps.times[(steps.times > start) & (steps.times < steps.time)]
+        for t in [*inside.tolist(), steps.time]:
             x = steps.at(t)
             located += [(w.locate(steps.at, start, t), w) for w in self.events if w.passed(x, t)]
             start = t
@@ -301,9 +274,7 @@ class Solver:
         length = (steps.time - mark) / _CHECK_EVERY
         ahead = (last - steps.time) / length if length else np.inf
         self._pace = max(self._pace, length)
-        most = self.max_steps
-        if most is None:
-            most = _MANY if length < _COLLAPSED * self._pace else _HOPELESS
+        most = self.max_steps or (_MANY if length < _COLLAPSED * self._pace else _HOPELESS)
         if count + ahead > most:
             raise StoppedError(
                 f"with steps of {length:.0e} s it would take more than {most:g} of them; {_HINT}",

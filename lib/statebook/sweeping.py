@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import hashlib
 import inspect
 import itertools
+import math
 import multiprocessing
 import os
 import pickle
 import random
 import signal
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, ProcessPoolExecutor, wait
 from contextlib import ExitStack
 from functools import partial
 from typing import Any
@@ -20,10 +21,13 @@ from typing import Any
 import numpy as np
 
 from statebook import _validate
+from statebook.checkpoint import Checkpoint, stacked
 from statebook.variants import variant
 
 _CHUNKS_PER_WORKER = 8  # enough for the work to even out, few enough to cost little
 _WORKERS = 8  # guess for an executor that does not say how many it has
+_LARGEST = 10_000  # points a task, so that what is on its way stays small
+_AHEAD = 4  # times as many tasks may be on their way
 _ELSEWHERE = (
     "define it with def at the top of a module that can be imported, or give"
     " executor=ThreadPoolExecutor()"
@@ -39,7 +43,9 @@ def sweep(
     chunk: int | None = None,
     seed: int | None = None,
     model: Any = None,
-) -> np.ndarray:
+    reduce: tuple[Callable[[Any, Any], Any], Any] | None = None,
+    cache: str | os.PathLike[str] | None = None,
+) -> Any:
     """Evaluate a function at every point of a parameter grid.
 
     Parameters
@@ -63,25 +69,35 @@ def sweep(
     model : dataclass, control.NonlinearIOSystem or callable, optional
         What the parameters belong to, as in `eigenvalue_locus`: the function then gets, as its
         only argument, the model with these values.
+    reduce : (function, initial), optional
+        Results are not kept: total = function(total, result), from initial on, in the order of
+        the grid. The memory is that of some tasks, for 1e7 points too.
+    cache : path, optional
+        File of what is done, written every second or so and where the sweep ends, for whatever
+        reason: the same call goes on from there, with that chunk. The code of the function is not
+        looked at: delete the file if you change it.
 
     Returns
     -------
     array, shape (len of each parameter's values, in order, then that of a result)
+        With `reduce`, its total.
 
     Raises
     ------
     TypeError, ValueError
         The grid is empty or no mapping, results differ in shape or are no arrays, the function
         cannot be sent to a process, or draws its random numbers from a generator outside of it,
-        which every process would repeat.
+        which every process would repeat. The cache is of another sweep.
     RuntimeError
         The function raised, or a worker died; the message names the point. Points that wait are
         cancelled.
+    OSError
+        The cache cannot be written. Later, when results would be lost, that is a warning.
 
     Notes
     -----
     Processes that are copies of one another would draw the same numbers from numpy.random and
-    random: there they are seeded anew at each point.
+    random: there they are seeded anew for each task.
 
     Examples
     --------
@@ -93,51 +109,78 @@ def sweep(
     """
     from tqdm.auto import tqdm
 
-    points, shape = _points(grid)
+    shape = _shape(grid)
+    # Whatever has an index as it is: it may be long.
+    grid = {k: v if isinstance(v, range | np.ndarray) else list(v) for k, v in grid.items()}
+    number = math.prod(shape)
     entropy = _entropy(function, grid, seed)
     if model is not None:
-        variant(model, points[0])  # says what is wrong with a name
+        variant(model, _point(grid, 0))  # says what is wrong with a name
         function = partial(_of_variant, function, model)
     if not (executor is None or isinstance(executor, Executor)):
         raise TypeError(f"executor must be a concurrent.futures.Executor, got {executor!r}")
-    if executor is None or isinstance(executor, ProcessPoolExecutor):
-        _require_portable(function, {name: list(values) for name, values in grid.items()})
+    processes = executor is None or isinstance(executor, ProcessPoolExecutor)
+    if processes:
+        _require_module(function)
+    if processes or cache is not None:
+        key = _digests(function, grid)
     with ExitStack() as stack:
-        board = None
+        board: Any = None
         if executor is None:
-            board = multiprocessing.get_context().Array("q", 1 + 2 * len(points), lock=False)
-            executor = ProcessPoolExecutor(initializer=_join, initargs=(board,))
+            shared = multiprocessing.get_context().Array("q", 2 + 2 * (os.cpu_count() or 1))
+            board = shared.get_obj()
+            executor = ProcessPoolExecutor(initializer=_join, initargs=(shared,))
             stack.callback(executor.shutdown, cancel_futures=True)
-        if chunk is None:
-            number = getattr(executor, "_max_workers", None) or _WORKERS
-            chunk = -(-len(points) // (number * _CHUNKS_PER_WORKER))
-        size = _validate.integer("chunk", chunk, 1)
-        starts = range(0, len(points), size)
-        tasks = [(function, points[i : i + size], i, entropy) for i in starts]
-        futures = {executor.submit(_evaluate, *task): task[2] for task in tasks}
-        bar = stack.enter_context(tqdm(total=len(points), disable=not progress))
-        workers = multiprocessing.active_children()
-        results: list[Any] = [None] * len(points)
+        many = _CHUNKS_PER_WORKER * (getattr(executor, "_max_workers", None) or _WORKERS)
+        size = min(_LARGEST, -(-number // many)) if chunk is None else chunk
+        done = Checkpoint(_validate.integer("chunk", size, 1), reduce)
+        if cache is not None:
+            done.keep_in(cache, {**key, "seed": str(seed)})
+            stack.callback(done.save)
+        missing = done.missing(number)
+        begun = number - sum(map(len, missing))
+        bar = stack.enter_context(tqdm(total=number, initial=begun, disable=not progress))
+        pending: dict[Any, range] = {}
+        workers: list[Any] = []
         try:
-            for future in as_completed(futures):
-                i, found = futures[future], future.result()
-                results[i : i + len(found)] = found
-                bar.update(len(found))
-        except BrokenProcessPool as error:
-            executor.shutdown()  # by now all others were terminated
-            missing = [i for i, result in enumerate(results) if result is None]
-            raise RuntimeError(_death(points, missing, board, workers)) from error
+            while True:
+                # Loop invariant: the first point that is missing is on its way.
+                held = len(done.ready) if reduce and pending else 0
+                while missing and len(pending) + held < _AHEAD * many:
+                    part = missing.popleft()
+                    points = [_point(grid, i) for i in part]
+                    future = executor.submit(_evaluate, function, points, part.start, entropy)
+                    pending[future] = part
+                if not pending:
+                    return done.result(shape)
+                workers = workers or multiprocessing.active_children()
+                ended = wait(pending, return_when=FIRST_COMPLETED).done
+                for future in sorted(ended, key=_failed):  # what succeeded is kept first
+                    part = pending[future]
+                    try:
+                        found = future.result()
+                    except Exception as error:
+                        if type(error) in (RuntimeError, TypeError, ValueError):  # _evaluate's
+                            raise
+                        parts = [part]
+                        if isinstance(error, BrokenExecutor):
+                            executor.shutdown()  # by now all others were terminated
+                            parts = [*pending.values()]
+                        message = _death(grid, itertools.chain(*parts), board, workers)
+                        raise RuntimeError(message) from error
+                    done.add(part.start, found)
+                    del pending[future]
+                    bar.update(len(part))
         except BaseException:
             if board is not None:
                 board[0] = 1  # who is at work ends after its point
-            for other in futures:
+            for other in pending:
                 other.cancel()
             raise
-    shapes = sorted({np.shape(result) for result in results})
-    if len(shapes) > 1:
-        raise ValueError(f"function must return results of one shape, got {shapes}")
-    stacked = np.array(results)
-    return stacked.reshape(shape + stacked.shape[1:])
+
+
+def _failed(future: Any) -> bool:
+    return future.cancelled() or future.exception() is not None
 
 
 def _of_variant(function: Callable[..., Any], model: Any, /, **values: Any) -> Any:
@@ -146,8 +189,7 @@ def _of_variant(function: Callable[..., Any], model: Any, /, **values: Any) -> A
     return function(variant(model, values), **rng)
 
 
-def _points(grid: Any) -> tuple[list[dict[str, Any]], tuple[int, ...]]:
-    """Return all points of the grid in order, and its shape."""
+def _shape(grid: Any) -> tuple[int, ...]:
     if not isinstance(grid, Mapping):
         raise TypeError(f"grid must map parameters to their values, got {type(grid).__name__}")
     for name, values in grid.items():
@@ -157,8 +199,16 @@ def _points(grid: Any) -> tuple[list[dict[str, Any]], tuple[int, ...]]:
     shape = tuple(len(values) for values in grid.values())
     if not shape or 0 in shape:
         raise ValueError(f"grid must hold at least one value of each parameter, got {dict(grid)}")
-    rows = itertools.product(*grid.values())
-    return [dict(zip(grid, values, strict=True)) for values in rows], shape
+    return shape
+
+
+def _point(grid: Mapping[str, Any], index: int) -> dict[str, Any]:
+    """Return the point at an index; the last parameter runs first."""
+    point = {}
+    for name in [*grid][::-1]:
+        index, place = divmod(index, len(grid[name]))
+        point[name] = grid[name][place]
+    return {name: point[name] for name in grid}
 
 
 def _entropy(function: Any, grid: Mapping[str, Any], seed: int | None) -> tuple[int, bool]:
@@ -200,28 +250,38 @@ def _outside(function: Any, known: tuple[Any, ...] = ()) -> list[tuple[str, Any]
     return found
 
 
-def _require_portable(function: Any, grid: dict[str, Any]) -> None:
-    """Refuse what another process could not receive, before it dies of it."""
+def _require_module(function: Any) -> None:
     main = sys.modules["__main__"]
     inner = getattr(function, "func", function)
     forked = multiprocessing.get_context().get_start_method() == "fork"
     if not (forked or hasattr(main, "__file__")) and getattr(inner, "__module__", "") == "__main__":
         raise TypeError(f"function must not come from a notebook or a prompt here: {_ELSEWHERE}")
+
+
+def _digests(function: Any, grid: dict[str, Any]) -> dict[str, str]:
+    """Refuse what another process could not receive, before it dies of it; return its digests."""
+    digests = {}
     for name, value in (("function", function), ("grid", grid)):
         try:
-            pickle.dumps(value)
+            digests[name] = hashlib.sha256(pickle.dumps(value, protocol=5)).hexdigest()
         except Exception as error:
             raise TypeError(
                 f"{name} cannot be sent to a process ({error}): {_ELSEWHERE}"
             ) from error
+    return digests
 
 
-_board: Any = None  # in a worker: whether to stop, then for each point whether it began and ended
+_board: Any = None  # in a worker: whether to stop, how many joined, for each its id and point
+_seat = 0
 
 
-def _join(board: Any) -> None:
-    global _board
-    _board = board
+def _join(shared: Any) -> None:
+    global _board, _seat
+    _board = shared.get_obj()
+    with shared.get_lock():
+        _board[1] += 1
+        _seat = 2 * _board[1]
+    _board[_seat] = os.getpid()
 
 
 def _evaluate(
@@ -229,18 +289,21 @@ def _evaluate(
     points: list[dict[str, Any]],
     first: int,
     entropy: tuple[int, bool],
-) -> list[np.ndarray]:
+) -> np.ndarray:
+    if multiprocessing.parent_process() is not None:
+        seed = np.random.SeedSequence(entropy[0], spawn_key=(first,))
+        np.random.seed(seed.generate_state(4))  # noqa: NPY002 (others may draw from it)
+        random.seed(int(seed.generate_state(1)[0]))
     results = []
     for index, point in enumerate(points, start=first):
         if _board is not None:
             if _board[0]:
                 break
-            _board[1 + 2 * index] = os.getpid()
-        seed = np.random.SeedSequence(entropy[0], spawn_key=(index,))
-        rng = {"rng": np.random.default_rng(seed)} if entropy[1] else {}
-        if multiprocessing.parent_process() is not None:
-            np.random.seed(seed.generate_state(4))  # noqa: NPY002 (others may draw from it)
-            random.seed(int(seed.generate_state(1)[0]))
+            _board[_seat + 1] = index + 1
+        rng = {}
+        if entropy[1]:
+            seed = np.random.SeedSequence(entropy[0], spawn_key=(index,))
+            rng = {"rng": np.random.default_rng(seed)}
         try:
             result = np.asarray(function(**point, **rng))
         except (Exception, SystemExit) as error:
@@ -249,23 +312,23 @@ def _evaluate(
         if result.dtype.kind not in "biufcUS":
             raise TypeError(f"function must return a number or an array, got {result!r} at {point}")
         results.append(result)
-        if _board is not None:
-            _board[2 + 2 * index] = os.getpid()
-    return results
+    if _board is not None:
+        _board[_seat + 1] = 0
+    return stacked(results)
 
 
-def _death(
-    points: list[dict[str, Any]], missing: list[int], board: Any, workers: Sequence[Any]
-) -> str:
+def _death(grid: Mapping[str, Any], lost: Iterable[int], board: Any, workers: Sequence[Any]) -> str:
     """Say which worker died of what, and at which point as far as that is known."""
     dead = {p.pid: p.exitcode for p in workers if p.exitcode not in (None, -signal.SIGTERM)}
     who = ", ".join(f"{pid} (exit code {code})" for pid, code in dead.items()) if board else ""
     if board:
-        begun = [i for i in missing if board[1 + 2 * i] and not board[2 + 2 * i]]
-        missing = [i for i in begun if board[1 + 2 * i] in dead] or begun or missing
-    shown = ", ".join(str(points[i]) for i in missing[:8]) + (", ..." if len(missing) > 8 else "")
+        at = {board[i]: board[i + 1] - 1 for i in range(2, len(board), 2) if board[i + 1]}
+        lost = [at[pid] for pid in dead if pid in at] or [*at.values()] or lost
+    shown = [str(_point(grid, i)) for i in itertools.islice(lost, 9)]
+    shown[8:] = ["..."] * len(shown[8:])
     return (
-        f"worker process {who + ' ' if who else ''}died at {shown}: killed, out of memory or"
-        ' crashed in compiled code; a script must call sweep under if __name__ == "__main__":,'
+        f"worker process {who + ' ' if who else ''}died at {', '.join(shown)}: killed, out of"
+        " memory or crashed in compiled code; a script must call sweep under if __name__ =="
+        ' "__main__":,'
         " and executor=ThreadPoolExecutor() keeps all in one process"
     )

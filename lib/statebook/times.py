@@ -11,15 +11,27 @@ from statebook import _validate
 _ROUNDING = 4 * np.finfo(float).eps
 
 
+class ReadOnly:
+    """What holds arrays that nobody changes; out of a pickle too."""
+
+    def _keep(self, **values: Any) -> None:
+        for value in values.values():
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
+        vars(self).update(values)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self._keep(**state)
+
+
 def increasing(name: str, times: Any, minimum: int) -> np.ndarray:
-    """Check times: finite, increasing, at least so many; return a read-only copy."""
+    """Check times: finite, increasing, at least so many; return a copy."""
     times = _validate.real_array(name, times, (None,)).copy()
     if len(times) < minimum:
         raise ValueError(f"{name} must hold at least {minimum} times, got {len(times)}")
     if np.any(np.diff(times) <= 0):
         k = int(np.argmax(np.diff(times) <= 0))
         raise ValueError(f"{name} must increase, got {times[k]:g} before {times[k + 1]:g}")
-    times.setflags(write=False)
     return times
 
 

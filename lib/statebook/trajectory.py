@@ -15,7 +15,7 @@ from statebook.control_trajectory import ControlTrajectory
 from statebook.dense_output import DenseOutput
 from statebook.events import Event
 from statebook.systems import as_system
-from statebook.times import increasing, interval_of, within
+from statebook.times import ReadOnly, increasing, interval_of, within
 
 if TYPE_CHECKING:
     import control
@@ -25,7 +25,7 @@ _FINE = 2001  # samples of a step's characteristics
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Trajectory:
+class Trajectory(ReadOnly):
     """States, and controls if any, at increasing times.
 
     Parameters
@@ -84,9 +84,7 @@ class Trajectory:
                 f"states must have shape (n, {len(times)}) or (n, N, {len(times)}), one state for "
                 f"each time, got {states.shape}"
             )
-        states.setflags(write=False)
-        object.__setattr__(self, "times", times)
-        object.__setattr__(self, "states", states)
+        self._keep(times=times, states=states)
         if self.controls is not None:
             controls = _validate.real_array("controls", self.controls).copy()
             batch = states.shape[1:-1]
@@ -96,24 +94,17 @@ class Trajectory:
                     f"controls must have shape (m, *{wanted[0]}), one per time, or "
                     f"(m, *{wanted[1]}), one per interval, got {controls.shape}"
                 )
-            controls.setflags(write=False)
-            object.__setattr__(self, "controls", controls)
+            self._keep(controls=controls)
         circle = tuple(_validate.integer("circle", i, 0) for i in self.circle)
         if any(i >= self.n for i in circle):
             raise ValueError(f"circle must hold indices below n = {self.n}, got {circle}")
-        object.__setattr__(self, "circle", circle)
+        self._keep(circle=circle)
         for name, letter, count in (("state", "x", self.n), ("input", "u", self.m)):
             labels = getattr(self, f"{name}_labels")
             labels = [f"{letter}[{i}]" for i in range(count)] if labels is None else labels
             if isinstance(labels, str) or len(labels) != count:
                 raise ValueError(f"{name}_labels must be {count} names, got {labels!r}")
-            object.__setattr__(self, f"{name}_labels", tuple(str(label) for label in labels))
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        for name in ("times", "states", "controls"):  # a pickle forgets it
-            if state[name] is not None:
-                state[name].setflags(write=False)
+            self._keep(**{f"{name}_labels": tuple(str(label) for label in labels)})
 
     def __repr__(self) -> str:
         batch = f"a batch of {self.states.shape[1]}, " if self.states.ndim == 3 else ""
@@ -217,15 +208,18 @@ class Trajectory:
         system = as_system(system, self.states[..., 0], u0)
         if system.discrete:
             raise ValueError(f'kind "cubic" needs a continuous-time system, got dt = {system.dt}')
+        at, which = np.unique(k, return_inverse=True)
         ends = []
         for shift, hold in ((0, 0), (1, int(self.control_hold == "time"))):
-            slope = np.empty((*self.states.shape[:-1], len(self.times) - 1))
-            for j in np.unique(k):
-                u = None if self.controls is None else self.controls[..., j + hold]
-                slope[..., j] = system.dynamics(
-                    self.states[..., j + shift], u, float(self.times[j + shift])
+            slopes = [
+                system.dynamics(
+                    self.states[..., j + shift],
+                    None if self.controls is None else self.controls[..., j + hold],
+                    float(self.times[j + shift]),
                 )
-            ends.append(slope[..., k])
+                for j in at
+            ]
+            ends.append(np.stack(slopes, axis=-1)[..., which.reshape(k.shape)])
         return ends[0], ends[1]
 
     def control_at(self, t: Any) -> np.ndarray:
@@ -256,12 +250,8 @@ class Trajectory:
         controls = self._controls()
         t = within("t", t, self.times)
         k = interval_of(t, self.times)
-        last = (t == self.times[-1]) & (self.control_hold == "time")
         if self.plan is not None:
-            value = self.plan(t).reshape(*controls.shape[:-1], *t.shape)
-            return np.where(
-                last, controls[..., -1:].reshape(*controls.shape[:-1], *[1] * t.ndim), value
-            )
+            return self.plan(t).reshape(*controls.shape[:-1], *t.shape)
         if self.control_hold == "interval" or len(self.times) == 1:
             return np.array(controls[..., k])
         s = (t - self.times[k]) / (self.times[k + 1] - self.times[k])
@@ -401,16 +391,10 @@ class Trajectory:
         inputs = self.controls
         if inputs is not None and self.control_hold == "interval":
             inputs = np.concatenate([inputs, inputs[..., -1:]], axis=-1)
-        return control.TimeResponseData(
-            self.times,
-            self.states,
-            self.states,
-            inputs,
-            issiso=False,
-            output_labels=list(self.state_labels or ()),
-            state_labels=list(self.state_labels or ()),
-            input_labels=list(self.input_labels or ()) if self.controls is not None else None,
-        )
+        states, driven = list(self.state_labels or ()), list(self.input_labels or ()) or None
+        names = {"output_labels": states, "state_labels": states, "input_labels": driven}
+        samples = (self.times, self.states, self.states, inputs)
+        return control.TimeResponseData(*samples, issiso=False, **names)
 
     @classmethod
     def from_response(cls, response: control.TimeResponseData) -> Trajectory:
@@ -436,15 +420,10 @@ class Trajectory:
             raise ValueError("response must contain states: ask for them with return_x=True")
         if controls is not None and controls.ndim < states.ndim:
             controls = np.broadcast_to(controls[:, None], (len(controls), *states.shape[1:]))
-        if controls is not None and len(controls) == 0:
-            controls = None
-        return cls(
-            response.t,
-            states,
-            controls,
-            state_labels=response.state_labels,
-            input_labels=None if controls is None else response.input_labels,
-        )
+        if controls is None or len(controls) == 0:
+            return cls(response.t, states, state_labels=response.state_labels)
+        labels = response.state_labels, response.input_labels
+        return cls(response.t, states, controls, (), *labels)
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
         """Write the samples as a table, exactly.
@@ -500,14 +479,9 @@ class Trajectory:
             controls = np.array([row[1 + n :] for row in table]).reshape(len(table), m).T
         except ValueError as error:
             raise ValueError(f"{os.fspath(path)} must hold numbers in full rows: {error}") from None
-        return cls(
-            samples[0],
-            samples[1:],
-            controls if m else None,
-            circle,
-            tuple(name[2:] for name in header[1 : 1 + n]),
-            tuple(name[2:] for name in header[1 + n :]),
-        )
+        names = tuple(name[2:] for name in header[1:])
+        found = (samples[0], samples[1:], controls if m else None)
+        return cls(*found, circle, names[:n], names[n:])
 
     def _controls(self) -> np.ndarray:
         if self.controls is None:
@@ -527,6 +501,5 @@ def of_run(
     samples: Trajectory, dense: DenseOutput | None, plan: ControlTrajectory | None
 ) -> Trajectory:
     """The trajectory of a run: its samples, and what is known between them."""
-    object.__setattr__(samples, "dense", dense)
-    object.__setattr__(samples, "plan", plan)
+    vars(samples).update(dense=dense, plan=plan)
     return samples

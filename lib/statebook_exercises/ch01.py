@@ -10,6 +10,7 @@ import scipy
 
 import statebook as sb
 from statebook.grading.exercise import Exercise, Parameters, Slip
+from statebook_exercises.answers import beyond
 
 G = 9.8
 
@@ -115,7 +116,7 @@ def _judge_gains(answer: Any, p: Parameters) -> str:
         left.append(step @ left[-1])
     error = np.array(left)[:, 0] + p.d / kp
     force = -kp * error - kd * np.array(left)[:, 1]
-    if np.abs(force).max() > p.limit:
+    if beyond(np.abs(force).max(), p.limit):
         return f"the force reaches {np.abs(force).max():.3g} N, {FORCE} {p.limit:g} N"
     if error.max() > OVERSHOOT:
         return f"the cart goes {error.max():.3g} {PAST}"

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from statebook.grading.exercise import Exercise, Parameters, Slip
+from statebook_exercises.answers import beyond
 
 G = 9.8
 
@@ -103,13 +104,13 @@ def _judge_harvest(answer: Any, p: Parameters) -> str:
             f"it does not settle: at rest the slope of the map is {slope:.2f}, and each step"
             " multiplies an error by it"
         )
-    if abs(slope) ** 8 > 0.01:
+    if beyond(abs(slope) ** 8, 0.01):
         return (
             f"it settles too slowly: after 8 steps {abs(slope) ** 8:.2g} of an error is left, and"
             " 0.01 is allowed"
         )
     rest = 1 - (1 + q) / p.r
-    if rest < p.least:
+    if beyond(p.least, rest):
         return f"the population rests at {rest:.3f}, and {p.least:g} is the least allowed"
     return ""
 

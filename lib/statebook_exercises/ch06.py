@@ -9,6 +9,7 @@ import numpy as np
 
 import statebook as sb
 from statebook.grading.exercise import Exercise, Parameters, Slip
+from statebook_exercises.answers import beyond
 
 
 def _move(rng: np.random.Generator) -> dict[str, float]:
@@ -74,7 +75,7 @@ def _judge_gains(answer: Any, p: Parameters) -> str:
     kp, kd = map(float, answer)
     if kp <= 0 or kd <= 0:
         return "both gains must be positive, or it does not converge"
-    if kp * p.d > p.limit:
+    if beyond(kp * p.d, p.limit):
         return f"at the start the force is kp d = {kp * p.d:.3g} N, and the limit is {p.limit:g} N"
     A = np.array([[0.0, 1.0], [-kp / p.m, -kd / p.m]])
     run = sb.simulate(lambda x: A @ x, [-p.d, 0.0], times=np.linspace(0, 3 * p.within, 601))
@@ -108,9 +109,10 @@ def _judge_policy(answer: Any, p: Parameters) -> str:
         return f"your force reaches {max(seen):.3g} N, and the limit is {p.limit:g} N"
     place, speed = run.states[:, -1]
     if abs(place - p.d) > 0.03 * p.d:
+        why = "it brakes too late" if place > p.d else "it is too slow, or brakes too early"
         return (
-            f"after {duration:.2f} s it is at {place:.3g} m, not at {p.d:g} m: the mass is not the"
-            " one you were told, so look at the state"
+            f"after {duration:.2f} s it is at {place:.3g} m, not at {p.d:g} m: {why}; the mass is"
+            " not the one you were told, so look at the state"
         )
     if abs(speed) > 0.05 * p.limit * _fastest(p) / p.m:
         return f"it is there after {duration:.2f} s, but moving, at {speed:.3g} m/s"

@@ -10,6 +10,7 @@ import scipy
 
 import statebook as sb
 from statebook.grading.exercise import Exercise, Parameters, Slip
+from statebook_exercises.answers import beyond
 
 G = 9.8
 
@@ -81,7 +82,7 @@ def _judge_gains(answer: Any, p: Parameters) -> str:
         duration=3.0,
     )
     largest = np.abs(np.asarray(run.controls)).max()
-    if largest > p.limit:
+    if beyond(largest, p.limit):
         return f"the torque reaches {largest:.3g} N m, and the motor's limit is {p.limit:g} N m"
     past = np.pi / 2 - run.states[0].min()
     if past > 0.03:
@@ -222,6 +223,10 @@ EXERCISES = (
             Slip(
                 "the height of the mass is L sin(theta), as theta is counted from the x axis",
                 lambda p: _energy(p, p.m * p.L**2 / 2, lambda a: -np.cos(a)),
+            ),
+            Slip(
+                "two mistakes are left: the speed of the mass, and its height",
+                lambda p: _energy(p, p.m * p.L / 2, lambda a: -np.cos(a)),
             ),
             Slip(
                 "potential energy grows upwards",

@@ -142,7 +142,8 @@ def _judge_swing(answer: Any, p: Parameters) -> str:
     except sb.DivergenceError:
         return "the cart runs away after a pole that is lost"
     except ValueError as error:
-        return str(error)
+        # What else the library proposes is not the student's to choose.
+        return f"{str(error).partition(';')[0]}: try another period or another switch"
     return ""
 
 

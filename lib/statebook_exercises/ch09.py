@@ -9,6 +9,7 @@ import numpy as np
 import scipy
 
 from statebook.grading.exercise import Exercise, Parameters, Slip
+from statebook_exercises.answers import beyond
 
 BACK, FRONT, HALF_WIDTH = 0.9, 0.8, 0.9  # the body beyond the axles, and its half width [m]
 SPARE = 2.0  # degrees that the solution's steering stays below the limit
@@ -98,7 +99,7 @@ def _judge_rounds(answer: Any, p: Parameters) -> str:
     h, n = map(float, answer)
     if n < 1 or n != round(n) or n > 1000:
         return f"the number of rounds must be a whole one, from 1 to 1000, got {n:g}"
-    if not 0 < h <= p.room:
+    if h <= 0 or beyond(h, p.room):
         return f"a move of {h:g} m is none for a room of {p.room:g} m"
     step = n * _gain(h, p)
     if abs(step - p.step) > 0.01 * p.step:
@@ -135,15 +136,15 @@ def parking(p: Parameters) -> np.ndarray:
     return np.array([[2 * R * np.sin(alpha), 0.0], [-R * alpha, -phi], [-R * alpha, phi]])
 
 
-def _poses(pieces: np.ndarray, p: Parameters) -> np.ndarray:
-    """Poses (3, N) every few centimetres along pieces (distance, steering)."""
-    poses = [np.zeros((3, 1))]
+def poses(pieces: np.ndarray, p: Parameters) -> np.ndarray:
+    """Return poses (3, N) every few centimetres along pieces (distance, steering)."""
+    placed = [np.zeros((3, 1))]
     for distance, phi in pieces:
         s = np.linspace(0, distance, 2 + int(abs(distance) / 0.03))
-        start = poses[-1][:, -1:]
+        start = placed[-1][:, -1:]
         half = s * np.tan(phi) / p.L / 2
         chord, mean = s * np.sinc(half / np.pi), start[2] + half
-        poses.append(
+        placed.append(
             np.stack(
                 [
                     start[0] + chord * np.cos(mean),
@@ -152,11 +153,11 @@ def _poses(pieces: np.ndarray, p: Parameters) -> np.ndarray:
                 ]
             )
         )
-    return np.concatenate(poses, axis=1)
+    return np.concatenate(placed, axis=1)
 
 
-def _touches(poses: np.ndarray, p: Parameters) -> bool:
-    """Whether the body's outline comes into one of the two parked cars."""
+def _touches(poses: np.ndarray, p: Parameters) -> str:
+    """Return which of the two parked cars the body's outline comes into, or nothing."""
     along, across = np.linspace(-BACK, p.L + FRONT, 41), np.linspace(-HALF_WIDTH, HALF_WIDTH, 19)
     sides = [np.stack([along, 0 * along + y]) for y in (-HALF_WIDTH, HALF_WIDTH)]
     ends = [np.stack([0 * across + x, across]) for x in (-BACK, p.L + FRONT)]
@@ -165,26 +166,32 @@ def _touches(poses: np.ndarray, p: Parameters) -> bool:
     x, y = poses[0] + c * body[0] - s * body[1], poses[1] + s * body[0] + c * body[1]
     length = BACK + p.L + FRONT
     beside = np.abs(y + p.step) < HALF_WIDTH
-    front = (x > p.ahead) & (x < p.ahead + length)
+    if (beside & (x > p.ahead) & (x < p.ahead + length)).any():
+        return "in front"
     rear = (x < -BACK - p.behind) & (x > -BACK - p.behind - length)
-    return bool((beside & (front | rear)).any())
+    return "behind" if (beside & rear).any() else ""
 
 
 def _judge_parking(answer: Any, p: Parameters) -> str:
     pieces = np.asarray(answer, dtype=float)
     most = float(np.degrees(np.abs(pieces[:, 1]).max()))
-    if most > p.degrees:
-        return f"the wheels turn by {most:.3g} degrees, and the limit is {p.degrees:g} degrees"
+    if beyond(most, p.degrees):
+        also = ": steering angles are asked for in radians" if most > 90 else ""
+        return (
+            f"the wheels turn by {most:.3g} degrees, and the limit is {p.degrees:g} degrees{also}"
+        )
     if np.abs(pieces[:, 0]).sum() > 60:
         return f"{np.abs(pieces[:, 0]).sum():.3g} m of driving: 60 m are allowed"
-    poses = _poses(pieces, p)
-    x, y, theta = poses[:, -1]
+    placed = poses(pieces, p)
+    x, y, theta = placed[:, -1]
     if np.hypot(x, y + p.step) > 0.05 or abs(theta) > 0.03:
         return (
             f"the car ends at x = {x:.2f} m, y = {y:.2f} m, turned by {theta:.2f} rad; the goal is"
             f" (0, {-p.step:g}, 0), to 5 cm and 0.03 rad"
+            + (": phi > 0 is to the left, and backwards too" if y > 0.05 else "")
         )
-    return "the body touches a parked car on its way" if _touches(poses, p) else ""
+    where = _touches(placed, p)
+    return f"the body touches a parked car on its way, the one {where}" if where else ""
 
 
 EXERCISES = (

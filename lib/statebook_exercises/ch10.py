@@ -9,6 +9,7 @@ import numpy as np
 
 import statebook as sb
 from statebook.grading.exercise import Exercise, Parameters, Slip
+from statebook_exercises.answers import beyond
 
 TICKS = 8  # until when the particle of 10.6 is to be at rest
 SAMPLES = 2.5  # that 10.5 asks for in a period
@@ -125,7 +126,7 @@ def _judge_gains(answer: Any, p: Parameters) -> str:
         u = -K @ x
         largest = max(largest, float(np.abs(u).max()))
         x = Ad @ x + Bd @ u
-    if largest > p.limit:
+    if beyond(largest, p.limit):
         return f"the force reaches {largest:.3g} N, and the limit is {p.limit:g} N"
     if np.abs(x * [1.0, p.h]).max() > 0.01:
         return (

@@ -9,6 +9,7 @@ import numpy as np
 
 import statebook as sb
 from statebook.grading.exercise import Exercise, Parameters, Slip
+from statebook_exercises.answers import beyond
 
 G = 9.8
 
@@ -119,9 +120,9 @@ def _judge_lag(answer: Any, p: Parameters) -> str:
     if s.real.max() >= 0:
         return _LAGS
     zeta, tau = float((-s.real / np.abs(s)).min()), float(1 / -s.real.max())
-    if zeta < 0.6:
+    if beyond(0.6, zeta):
         return f"{_RINGS} {zeta:.2g}, and 0.6 is asked for"
-    if tau > p.tau:
+    if beyond(tau, p.tau):
         return f"{_SLOW} {tau:.3g} s, and {p.tau:g} s are allowed"
     return ""
 
@@ -131,7 +132,7 @@ def _leaning(rng: np.random.Generator) -> dict[str, float]:
     return {"m": size["m"], "L": size["L"], "lean": round(float(rng.uniform(0.75, 1.1)), 2)}
 
 
-_OUTWARDS = "it falls outwards at once: pushed the wrong way"
+_OUTWARDS = "it falls outwards at once: it needs a push towards the top"
 _BACK = "it comes back towards the top, but not far enough, and falls again"
 _OVER = "it comes back so fast that it goes over to the other side and falls there"
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from statebook.grading.exercise import Exercise, Parameters, Slip
-from statebook_exercises.answers import NOT_A_NUMBER, one_number
+from statebook_exercises.answers import NOT_A_NUMBER, beyond, one_number
 
 
 def _sensor(rng: np.random.Generator) -> dict[str, float]:
@@ -101,17 +101,17 @@ def _judge_gains(answer: Any, p: Parameters) -> str:
     if kp <= 0 or kd <= 0:
         return "both gains must be positive, or the cart runs away"
     spread, farthest, tremble = _measures(p, kp, kd)
-    if tremble > p.tremble:
+    if beyond(tremble, p.tremble):
         return (
             "the sensor's noise makes the force tremble too much:"
             f" {tremble:.3g} N rms, and {p.tremble:g} N are allowed; lower the gains"
         )
-    if spread > p.spread:
+    if beyond(spread, p.spread):
         return (
             f"the gusts spread it too far: {spread:.3g} m rms, and {p.spread:g} m are allowed;"
             " the variance is q / (2 kd kp)"
         )
-    if farthest > p.farthest:
+    if beyond(farthest, p.farthest):
         return (
             f"the worst push brings it too far: {farthest:.3g} m, and {p.farthest:g} m are allowed;"
             " stiffness, or damping against resonance, is missing"

@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 
 from statebook.grading.exercise import Exercise, Parameters, Slip
-from statebook_exercises.answers import NOT_A_NUMBER, one_number
+from statebook_exercises.answers import NOT_A_NUMBER, beyond, one_number
 
 
 def _sensor(rng: np.random.Generator) -> dict[str, float]:
@@ -106,7 +106,7 @@ def _judge_time(answer: Any, p: Parameters) -> str:
     if not 1e-3 <= h <= 10:
         return "the time between readings must be positive, between 0.001 and 10 s"
     found = _settled(p.m, p.q, p.sigma, h)
-    if found > p.limit:
+    if beyond(found, p.limit):
         return (
             f"too seldom: the velocity is known to {found:.3g} m/s before a reading,"
             f" and {p.limit:g} m/s are allowed"
@@ -145,12 +145,12 @@ def _judge_experiment(answer: Any, p: Parameters) -> str:
         if abs(u) > p.limit * (1 + 1e-9):
             return f"your force is too large: {abs(u):.3g} N, and the limit is {p.limit:g} N"
         x, v = x + v * TICK + u / p.m * TICK**2 / 2, v + u / p.m * TICK
-        if abs(x) > p.track:
+        if beyond(abs(x), p.track):
             return f"the cart leaves the track at {k * TICK:.2f} s"
     if information == 0:
         return "without a force the readings say nothing about the mass"
     found = 1 / np.sqrt(information)
-    if found > p.target:
+    if beyond(found, p.target):
         return (
             f"the mass is known to {found:.3g} kg only, and {p.target:g} kg are asked for;"
             " dp/dm = -p/m: where on the track does a reading tell most?"

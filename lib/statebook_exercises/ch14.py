@@ -9,7 +9,7 @@ import numpy as np
 
 import statebook as sb
 from statebook.grading.exercise import Exercise, Parameters, Slip
-from statebook_exercises.answers import NOT_A_NUMBER, one_number
+from statebook_exercises.answers import NOT_A_NUMBER, beyond, one_number
 
 
 def _errors(rng: np.random.Generator) -> dict[str, float]:
@@ -107,7 +107,7 @@ def _judge_samples(answer: Any, p: Parameters) -> str:
         return f"the first time must be 0 and the last T, {p.T:g} s"
     fine = np.linspace(0, p.T, 20001)
     missed = np.abs(np.interp(fine, times, np.exp(-p.rate * times)) - np.exp(-p.rate * fine))
-    if missed.max() > p.error:
+    if beyond(missed.max(), p.error):
         return (
             "the straight lines miss the motion by more than allowed:"
             f" {missed.max():.3g} m near {fine[np.argmax(missed)]:.2f} s, and {p.error:g} m are"

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from statebook.grading.exercise import Exercise, Parameters, Slip
+from statebook_exercises.answers import beyond
 
 TICK = 0.02  # [s], of the clock that asks for an acceleration
 
@@ -94,22 +95,24 @@ def _judge_ramps(answer: Any, p: Parameters) -> str:
     v, up, cruise, down = map(float, answer)
     if v <= 0 or up <= 0 or down <= 0 or cruise < 0:
         return "the speed and both ramps must be positive, and the cruise not negative"
-    if v > p.v_max * (1 + 1e-9):
+    if beyond(v, p.v_max):
         return f"{v:.4g} m/s is faster than the limit of {p.v_max:g} m/s"
-    if v / up > p.engine * 1.0001:
+    if beyond(v / up, p.engine):
         return f"the engine gives {p.engine:g} m/s^2; you ask it for {v / up:.3g}"
-    if v / down > p.brake * 1.0001:
+    if beyond(v / down, p.brake):
         return f"the brakes hold {p.brake:g} m/s^2; you ask them for {v / down:.3g}"
     way = v * (up / 2 + cruise + down / 2)
     if abs(way - p.d) > 0.002 * p.d:
         return (
-            f"it stops after {way:.4g} m instead of {p.d:g} m: a ramp is half as long as a cruise"
+            f"it stops after {way:.4g} m instead of {p.d:g} m: on a ramp the mean speed is half"
+            " the top speed"
         )
     best = float(_ramps(p, p.v_max)[1:].sum())
     took = up + cruise + down
     if took > 1.01 * best:
         return (
-            f"it takes {took:.4g} s, and 1 % above the least time is allowed: are both ramps steep?"
+            f"it takes {took:.4g} s, and 1 % above the least time is allowed: does it reach the"
+            " speed limit, and are both ramps as steep as they may be?"
         )
     return ""
 
@@ -138,7 +141,10 @@ def _judge_driver(answer: Any, p: Parameters) -> str:
             )
         s, v, t = s + TICK * (v + faster) / 2, faster, t + TICK
         if t > limit:
-            return f"after {t:.1f} s the car is at s = {s:.1f} m: the end is not reached in time"
+            return (
+                f"after {t:.1f} s the car is at s = {s:.1f} m: the end is not reached in time; use"
+                " all of the grip on the straights"
+            )
     allowed = 1.08 * _least_lap(p)
     if t > allowed:
         return f"it takes {t:.2f} s; {allowed:.2f} s are allowed: brake later, or bend faster"
@@ -256,6 +262,10 @@ EXERCISES = (
                 lambda p: _step(p, 2, lambda a, k, z: np.sqrt(a**2 - k * z**2)),
             ),
             Slip(
+                "two mistakes are left: what z gains over ds, and what the bend takes",
+                lambda p: _step(p, 1, lambda a, k, z: np.sqrt(a**2 - k * z**2)),
+            ),
+            Slip(
                 "the two accelerations are at right angles: they add as squares",
                 lambda p: _step(p, 2, lambda a, k, z: a - k * z),
             ),
@@ -276,7 +286,7 @@ EXERCISES = (
         lambda p: _ramps(p, p.v_max),
         (
             Slip(
-                "a ramp is half as long as a cruise",
+                "on a ramp the mean speed is half",
                 lambda p: [p.v_max, p.v_max / p.engine, p.d / p.v_max, p.v_max / p.brake],
             ),
             Slip(
@@ -290,7 +300,7 @@ EXERCISES = (
             ),
             Slip("is faster than the limit", lambda p: _ramps(p, 1.05 * p.v_max)),
             Slip(
-                "are both ramps steep",
+                "does it reach the speed limit",
                 lambda p: [
                     p.v_max,
                     p.v_max / p.engine,
@@ -298,7 +308,7 @@ EXERCISES = (
                     p.v_max / p.engine,
                 ],
             ),
-            Slip("are both ramps steep", lambda p: _ramps(p, 0.8 * p.v_max)),
+            Slip("does it reach the speed limit", lambda p: _ramps(p, 0.8 * p.v_max)),
             Slip("the brakes hold", lambda p: [p.v_max, p.v_max / p.engine, 1.0, 0.1]),
             Slip("must be positive", lambda p: [p.v_max, 1.0, -1.0, 1.0]),
         ),

@@ -10,6 +10,7 @@ import scipy
 
 import statebook as sb
 from statebook.grading.exercise import Exercise, Parameters, Slip
+from statebook_exercises.answers import beyond
 
 G = 9.8
 CURVE = np.array([[0.3, 0.9, 1.2, 0.6], [0.5, -0.3, -1.2, -0.4]])  # waypoints of 16.5 [rad]
@@ -132,7 +133,7 @@ def _judge_motors(answer: Any, p: Parameters) -> str:
     if np.any(answer <= 0):
         return "a motor's torque must be positive"
     total = float(np.sum(answer))
-    if total > p.budget:
+    if beyond(total, p.budget):
         return f"together the motors have {total:.4g} N m, and {p.budget:g} N m are in the budget"
     arm = sb.PlanarArm(lengths=(p.L, p.L), masses=(p.m, p.m / 2))
     try:
@@ -140,8 +141,12 @@ def _judge_motors(answer: Any, p: Parameters) -> str:
             sb.Path.through(CURVE), torque=answer, inverse_dynamics=arm.inverse_dynamics
         )
     except sb.InfeasiblePathError as error:
-        return f"these motors cannot drive the path: {error.constraint} at s = {error.s:.2f}"
-    if timed.duration > p.longest:
+        joint = "joint 1" if "row 0" in error.constraint else "joint 2"
+        return (
+            f"these motors cannot drive the path: at s = {error.s:.2f} the motor of {joint} is too"
+            " weak"
+        )
+    if beyond(timed.duration, p.longest):
         return (
             f"it takes {timed.duration:.3f} s, and {p.longest:g} s are allowed: which motor is at"
             " its limit most of the time?"
@@ -183,7 +188,10 @@ def _judge_pose(answer: Any, p: Parameters) -> str:
     hand = REACHER.positions(answer)[1]
     off = float(np.hypot(hand[0] - p.x, hand[1] - p.y))
     if off > 0.02:
-        return f"the hand is {off:.3g} m away from the point; 0.02 m are allowed"
+        return (
+            f"the hand is {off:.3g} m away from the point; 0.02 m are allowed. The second angle"
+            " counts from the first link"
+        )
     took = _time_through(p, answer)
     least = _time_through(p, _elbow(p, p.side))
     if took > 1.1 * least:

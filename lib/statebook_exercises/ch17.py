@@ -10,6 +10,7 @@ import scipy
 
 import statebook as sb
 from statebook.grading.exercise import Exercise, Parameters, Slip
+from statebook_exercises.answers import beyond
 
 G = 9.8
 
@@ -61,7 +62,8 @@ def _loop(rng: np.random.Generator) -> dict[str, float]:
 def _spread(
     p: Parameters,
     gain: float = 1.0,
-    tick: float = 1.0,
+    tick: bool = True,
+    read: bool = True,
     twice: bool = True,
     seen: str = "through K",
 ) -> Callable[..., Any]:
@@ -70,8 +72,8 @@ def _spread(
     A, B = np.array([[1.0, h], [0.0, 1.0]]), np.array([[h**2 / 2], [h]])
     K = np.array([[p.kp, p.kd]])
     F = A - gain * B @ K
-    push = p.push**2 / h * tick + (1 - tick) * p.push**2
-    sensor = np.eye(2) * (p.sensor**2 / h * tick + (1 - tick) * p.sensor**2)
+    push = p.push**2 / (h if tick else 1.0)
+    sensor = np.eye(2) * p.sensor**2 / (h if read else 1.0)
 
     def step(P: np.ndarray) -> np.ndarray:
         moved = F @ P @ F.T if twice else F @ P
@@ -124,10 +126,10 @@ def _judge_margin(answer: Any, p: Parameters) -> str:
     if not (0 < share <= 1 and 0 < rate < 1e3):
         return _NONSENSE
     longest = 2 * np.sqrt(p.m * p.way / (share * p.limit))
-    if longest > p.longest:
+    if beyond(longest, p.longest):
         return f"{_LONG}: {longest:.3g} s, and {p.longest:g} s are allowed"
     spread = 1e3 * p.push / (2 * p.m * rate**1.5)
-    if spread > p.widest:
+    if beyond(spread, p.widest):
         return f"{_WIDE}: {spread:.3g} mm, and {p.widest:g} mm are allowed"
     if share + _asked(p, rate) > 1:
         return f"{_MORE}: {share:.3g} + {_asked(p, rate):.3g} of the limit"
@@ -262,8 +264,17 @@ EXERCISES = (
             ),
             Slip("the sensors' errors are missing", lambda p: _spread(p, seen="none")),
             Slip(
-                "noise is given per root second: over a tick its variance is divided by h",
-                lambda p: _spread(p, tick=0.0),
+                "a noise given by its integral is held for a tick: its variance is divided by h",
+                lambda p: _spread(p, tick=False, read=False),
+            ),
+            Slip(
+                "the sensors' errors too are held for a tick: their variance is divided by h",
+                lambda p: _spread(p, read=False),
+            ),
+            Slip(
+                "two mistakes are left: the variances over a tick, and the way of the sensors'"
+                " errors",
+                lambda p: _spread(p, tick=False, read=False, seen="direct"),
             ),
             Slip("feedback subtracts: F = A - B K", lambda p: _spread(p, gain=-1.0)),
             Slip(

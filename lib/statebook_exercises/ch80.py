@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from statebook.grading.exercise import Exercise, Parameters, Slip
+from statebook_exercises.answers import beyond
 
 
 def _tanks(rng: np.random.Generator) -> dict[str, float]:
@@ -35,12 +36,12 @@ def _judge_wagon(answer: Any, p: Parameters) -> str:
     if k <= 0 or d <= 0:
         return f"{_FALLS}, got {k:g} and {d:g}"
     zeta = d / (2 * np.sqrt(k * p.m))
-    if zeta < 0.6:
+    if beyond(0.6, zeta):
         return f"{_RINGS} {zeta:.2g}; 0.6 to 0.9 is asked for"
-    if zeta > 0.9:
+    if beyond(zeta, 0.9):
         return f"{_CREEPS} {zeta:.2g}; 0.6 to 0.9 is asked for"
     tau = 2 * p.m / d
-    if tau > p.tau:
+    if beyond(tau, p.tau):
         return f"{_SLOW} {tau:.3g} s, and {p.tau:g} s are allowed"
     return ""
 

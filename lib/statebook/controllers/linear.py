@@ -16,6 +16,7 @@ from statebook.angles import wrap_angle
 from statebook.derivatives import InexactDerivativeWarning
 from statebook.equilibrium import find_equilibrium
 from statebook.linearization import linearize
+from statebook.residuals import labels_among, point
 from statebook.systems import System, as_system, time_of
 from statebook.verdict.stability import stability
 from statebook.verdict.words import format_complex
@@ -41,14 +42,9 @@ def state_of(x: Any, n: int) -> np.ndarray:
 
 def rows_of(name: str, wanted: Any, labels: Sequence[str]) -> np.ndarray:
     """Return the matrix C of C x, from labels of states or from C itself."""
-    if isinstance(wanted, str) or np.ndim(wanted) == 0:
-        raise TypeError(f"{name} must be a sequence of labels; write {name}=[{wanted!r}]")
-    if not all(isinstance(label, str) for label in wanted):
+    if np.ndim(wanted) and not all(isinstance(label, str) for label in wanted):
         return _validate.real_array(name, wanted, (None, len(labels)))
-    absent = [label for label in wanted if label not in labels]
-    if absent:
-        raise ValueError(f"{name} must hold labels among {tuple(labels)}, got {absent[0]!r}")
-    return np.eye(len(labels))[[labels.index(label) for label in wanted]]
+    return np.eye(len(labels))[[labels.index(x) for x in labels_among(name, wanted, labels)]]
 
 
 def unwound(error: np.ndarray, u: np.ndarray, Ki: np.ndarray, limit: float | None) -> np.ndarray:
@@ -161,21 +157,17 @@ def unmoved(A: np.ndarray, B: np.ndarray, discrete: bool) -> list[complex]:
     norm = np.linalg.norm(A)
     B = B * (norm / (np.linalg.norm(B) or 1.0) or 1.0)  # the units of the inputs do not matter
     norm = norm or np.linalg.norm(B)
-    edge: np.ndarray
-    if discrete:
-        beyond, edge = np.abs(values) - 1, values / np.where(values == 0, 1, np.abs(values))
-        corners = [1.0, -1.0]
-    else:
-        beyond, edge, corners = values.real, 1j * values.imag, [0.0]
+    beyond = np.abs(values) - 1 if discrete else values.real
+    edge = values / np.where(values == 0, 1, np.abs(values)) if discrete else 1j * values.imag
+    corners = [1.0, -1.0] if discrete else [0.0]
     near = np.abs(beyond) <= _NEAR * norm
     candidates = [(z, 1e-12) for z in (*corners, *edge[near])]
     candidates += [(z, 1e-8) for z in values[~near & (beyond > 0)]]
 
-    def stays(value: complex, tolerance: float) -> bool:
-        pencil = np.hstack([value * np.eye(len(A)) - A, B])
-        return bool(np.linalg.svd(pencil, compute_uv=False)[-1] <= tolerance * norm)
+    def least(z: complex) -> float:
+        return np.linalg.svd(np.hstack([z * np.eye(len(A)) - A, B]), compute_uv=False)[-1]
 
-    return [complex(value) for value, tolerance in candidates if stays(value, tolerance)]
+    return [complex(z) for z, tolerance in candidates if least(z) <= tolerance * norm]
 
 
 def gain_of(
@@ -296,16 +288,14 @@ class LQR(Portable):
         n, m = system.n, system.m
         if not m:
             raise ValueError(f"system must have inputs, got {system.name} without")
-        x0 = _validate.real_array("x0", self.x0, (n,))
-        u0 = np.zeros(m) if self.u0 is None else _validate.real_array("u0", self.u0, (m,))
+        x0, u0 = point(system, self.x0, self.u0, batch=False)
         limit = None if self.limit is None else _validate.positive("limit", self.limit)
         circle = np.flatnonzero(rows_of("circle", self.circle, system.states).any(axis=0))
         Q, R = weight("Q", self.Q, n), weight("R", self.R, m, definite=True)
         require_holding(limit, u0, "x0")
         if self.tracked is None and not (self.reference is None and self.integral is None):
             raise ValueError("tracked is required with reference or integral: label what follows")
-        tracked = () if self.tracked is None else self.tracked
-        C = rows_of("tracked", tracked, system.states)
+        C = rows_of("tracked", () if self.tracked is None else self.tracked, system.states)
         require_timeless(system, x0, u0)
         sys = linearize(system, x0, u0)
         A, B = np.asarray(sys.A), np.asarray(sys.B)

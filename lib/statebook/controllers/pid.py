@@ -11,30 +11,17 @@ from typing import Any
 import numpy as np
 
 from statebook import _validate
-from statebook.controllers.linear import (
-    Portable,
-    at_rest_at,
-    closed_loop,
-    columns,
-    holding_control,
-    matrix_of,
-    require_holding,
-    require_stable,
-    require_timeless,
-    rows_of,
-    saturate,
-    state_of,
-    unwound,
-)
+from statebook.controllers import linear
 from statebook.equilibrium import find_equilibrium
 from statebook.errors import EquilibriumNotFoundError
+from statebook.residuals import labels_among, point
 from statebook.systems import System, as_system
 
 Measurement = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
-class PID(Portable):
+class PID(linear.Portable):
     """Proportional-integral-derivative control, its memory a state.
 
     u = u0 - kp e - ki z - kd d, clipped to the limit, with the error e = y - target of what is
@@ -110,36 +97,36 @@ class PID(Portable):
     def __post_init__(self) -> None:
         limit = None if self.limit is None else _validate.positive("limit", self.limit)
         system, measure = self._plant
-        if not self._measures(system):
-            u0 = holding_control(system, self.target, limit)
-            target, x0 = _validate.real_array("target", self.target), at_rest_at(self.target)[0]
-        else:
-            target = np.atleast_1d(_validate.real_array("target", self.target))
+        target = np.atleast_1d(_validate.real_array("target", self.target))
+        if self._measures(system):
             x0, u0 = self._equilibrium(system, target)
-            require_holding(limit, u0, "the target")
+            linear.require_holding(limit, u0, "the target")
+        else:
+            u0 = linear.holding_control(system, self.target, limit)
+            x0 = linear.at_rest_at(target)[0]
         names, shape = ("kp", "ki", "kd"), (system.m, len(target))
-        gains = tuple(matrix_of(name, getattr(self, name), shape) for name in names)
+        gains = tuple(linear.matrix_of(name, getattr(self, name), shape) for name in names)
         filter_time = self.filter_time
         if filter_time is not None:
-            filter_time = _validate.positive("filter_time", filter_time)
+            _validate.positive("filter_time", filter_time)
         elif self._measures(system) and gains[2].any():
             if not gains[0].any():
                 raise ValueError("filter_time is required for kd without kp: d is filtered")
             filter_time = float(np.abs(gains[2]).max() / np.abs(gains[0]).max()) / 10
-        vars(self).update(target=target, limit=limit, x0=x0, u0=u0, gains=gains)
-        vars(self).update(filter_time=filter_time)
+        found = {"target": target, "limit": limit, "x0": x0, "u0": u0, "gains": gains}
+        vars(self).update(found, filter_time=filter_time)
         loop, at_rest = self._loop(None), np.concatenate([x0, np.zeros(len(target))])
         if filter_time is not None:
             at_rest = np.concatenate([at_rest, measure(x0)])
         shown = (f"{name} = {_shown(getattr(self, name))}" for name in names)
-        require_stable(loop, at_rest, f"the gains {', '.join(shown)}")
+        linear.require_stable(loop, at_rest, f"the gains {', '.join(shown)}")
 
     @cached_property
     def _plant(self) -> tuple[System, Measurement]:
         """The system and what is measured of it."""
         x, u = self.x_guess, self.u_guess  # of a plain function, they tell n and m
         if x is None and self.outputs is None:
-            x, u = at_rest_at(self.target)
+            x, u = linear.at_rest_at(self.target)
         try:
             system = as_system(self.system, x, np.zeros(1) if u is None else u)
         except (TypeError, ValueError) as error:  # in the words of PID
@@ -161,36 +148,30 @@ class PID(Portable):
         wanted = own if self.outputs is None else self.outputs
         labelled = np.ndim(wanted) == 1 and all(isinstance(label, str) for label in wanted)
         if not labelled or (self.outputs is not None and set(wanted) <= set(system.states)):
-            C = rows_of("outputs", wanted, system.states)
+            C = linear.rows_of("outputs", wanted, system.states)
             return lambda x: C @ x
-        absent = [label for label in wanted if label not in own]
-        if absent:
-            among = (*system.states, *own)
-            raise ValueError(f"outputs must hold labels among {among}, got {absent[0]!r}")
-        index = [own.index(label) for label in wanted]
-        if hasattr(source, "C"):
-            C, D = np.asarray(source.C)[index], np.asarray(source.D)[index]
-            if D.any():
-                raise ValueError("outputs must not depend on the inputs at once: D is not 0")
-            return lambda x: C @ x
+        labels_among("outputs", wanted, (*system.states, *own))
+        index = [own.index(label) for label in labels_among("outputs", wanted, own)]
+
+        def output(x: np.ndarray, u: np.ndarray) -> np.ndarray:
+            return np.asarray(source.output(0.0, x, u))[index]
 
         def measure(x: np.ndarray) -> np.ndarray:
-            if x.ndim == 1:
-                return np.asarray(source.output(0.0, x, np.zeros(m)))[index]
-            return np.stack([measure(column) for column in x.T], axis=1)
+            columns = [output(column, np.zeros(m)) for column in x.reshape(n, -1).T]
+            return np.stack(columns, axis=1).reshape(-1, *x.shape[1:])
 
         beside = np.zeros(n) if self.x_guess is None else np.asarray(self.x_guess, dtype=float)
-        if (np.asarray(source.output(0.0, beside, np.ones(m)))[index] != measure(beside)).any():
+        if (output(beside, np.ones(m)) != measure(beside)).any():
             raise ValueError("outputs must not depend on the inputs at once")
+        if hasattr(source, "C"):
+            return partial(np.matmul, np.asarray(source.C)[index])
         return measure
 
     def _equilibrium(self, system: System, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the state and the input at rest that have the target as their outputs."""
         n, measure = system.n, self._plant[1]
-        u = np.zeros(system.m) if self.u_guess is None else self.u_guess
-        u = _validate.real_array("u_guess", u, (system.m,))
         x = np.zeros(n) if self.x_guess is None else self.x_guess
-        x = _validate.real_array("x_guess", x, (n,))
+        x, u = point(system, x, self.u_guess, batch=False, names=("x_guess", "u_guess"))
         y = measure(x)
         if y.shape != target.shape:
             raise ValueError(f"target must have shape {y.shape}, got {target.shape}")
@@ -198,7 +179,7 @@ class PID(Portable):
             C = np.stack([measure(e) - y for e in np.eye(n)], axis=1)
             x = np.linalg.lstsq(C, target - y, rcond=None)[0]
 
-        require_timeless(system, x, u)
+        linear.require_timeless(system, x, u)
         labels = [f"y{i + 1}" for i in range(len(target))]
         seen = SimpleNamespace(output_labels=labels, output=lambda t, x, u: measure(x))
         wanted = dict(zip(labels, target.tolist(), strict=True))
@@ -220,12 +201,12 @@ class PID(Portable):
         system = self._plant[0]
         names = ("z",) if self.filter_time is None else ("z", "f")
         memories = dict.fromkeys(names, len(self.target))
-        return closed_loop(system, partial(self._closed, limit), memories, "PID")
+        return linear.closed_loop(system, partial(self._closed, limit), memories, "PID")
 
     def __call__(self, y: Any, t: float) -> np.ndarray:
         """Evaluate the control at y = (x, z) or (x, z, f), shape (m,) or (m, N)."""
         n, p = len(self.x0), len(self.target)
-        y = state_of(y, n + (1 if self.filter_time is None else 2) * p)
+        y = linear.state_of(y, n + (1 if self.filter_time is None else 2) * p)
         return self._control(self._plant[1](y[:n]), y[:n], y[n : n + p], y[n + p :], self.limit)
 
     def _control(
@@ -235,8 +216,8 @@ class PID(Portable):
         rate = x[len(self.target) :] if self.filter_time is None else (y - f) * self._pace()
         # Without a filter and a velocity kd is 0.
         derivative = kd @ rate if kd.any() else 0.0
-        error = y - columns(self.target, y)
-        return saturate(columns(self.u0, y) - kp @ error - ki @ z - derivative, limit)
+        error = y - linear.columns(self.target, y)
+        return linear.saturate(linear.columns(self.u0, y) - kp @ error - ki @ z - derivative, limit)
 
     def _pace(self) -> float:
         """What f moves per time and per distance from y [1/s]."""
@@ -256,7 +237,7 @@ class PID(Portable):
         x, z, f = state[:n], state[n : n + p], state[n + p :]
         y = measure(x)
         u = self._control(y, x, z, f, limit)
-        error = unwound(y - columns(self.target, y), u, self.gains[1], limit)
+        error = linear.unwound(y - linear.columns(self.target, y), u, self.gains[1], limit)
         motion, step = np.asarray(system.rate(x, u + d, t)), self._step()
         memory = [z + step * error if step else error + 0 * z]
         if self.filter_time is not None:

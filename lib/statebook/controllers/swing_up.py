@@ -72,8 +72,7 @@ class SwingUp:
     catch: LQR = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.pendulum, Pendulum):
-            raise TypeError(f"pendulum must be a Pendulum, got {type(self.pendulum).__name__}")
+        _require_kind("pendulum", self.pendulum, Pendulum)
         limit = _validate.positive("limit", self.limit)
         _validate.positive("gain", self.gain)
         if self.pendulum.g == 0:
@@ -107,17 +106,13 @@ class SwingUp:
 
     def __call__(self, x: Any, t: float) -> np.ndarray:
         """Evaluate u(x, t), shape (1,) or (1, N)."""
-        x = state_of(x, 2)
-        top = self.pendulum.m * self.pendulum.g * self.pendulum.L
-        lack = top - self.pendulum.energy(x)
-        caught = self._caught(x)
-        rate = np.sqrt(self.pendulum.g / self.pendulum.L)
+        x, pendulum = state_of(x, 2), self.pendulum
         ahead = wrap_angle(x[0] + np.pi / 2) * np.sign(x[1])
-        lack = lack + 4 * self.pendulum.damping * rate * (1 - np.sin(ahead / 2))
+        friction = 4 * pendulum.damping * np.sqrt(pendulum.g / pendulum.L) * (1 - np.sin(ahead / 2))
+        lack = pendulum.m * pendulum.g * pendulum.L - pendulum.energy(x) + friction
         pump = np.clip(self.gain * lack * x[1], -self.limit, self.limit)
-        still = (np.abs(x[1]) < 1e-6) & (lack > 0)
-        pump = np.where(still, self.limit, pump)
-        return np.where(caught, self.catch(x, t), pump[None])
+        pump = np.where((np.abs(x[1]) < 1e-6) & (lack > 0), self.limit, pump)
+        return np.where(self._caught(x), self.catch(x, t), pump[None])
 
 
 _SETTLING = 8.0  # [s] after the switch, in which the trial must come to rest
@@ -159,8 +154,7 @@ def cart_force(cartpole: CartPole, x: Any, acceleration: Any) -> np.ndarray:
     >>> cart_force(CartPole(m_cart=2.0, m_pole=1.0), [0.0, -np.pi / 2, 0.0, 0.0], 3.0).round(9)
     np.float64(6.0)
     """
-    if not isinstance(cartpole, CartPole):
-        raise TypeError(f"cartpole must be a CartPole, got {type(cartpole).__name__}")
+    _require_kind("cartpole", cartpole, CartPole)
     idle = cartpole.dynamics(x, [0.0, 0.0])[2]
     acceleration = _validate.array("acceleration", acceleration)
     if acceleration.shape not in ((), (1,), idle.shape):
@@ -168,6 +162,11 @@ def cart_force(cartpole: CartPole, x: Any, acceleration: Any) -> np.ndarray:
             f"acceleration must be a number or have shape {idle.shape}, got {acceleration.shape}"
         )
     return (acceleration - idle) / (cartpole.dynamics(x, [1.0, 0.0])[2] - idle)
+
+
+def _require_kind(name: str, model: Any, kind: type) -> None:
+    if not isinstance(model, kind):
+        raise TypeError(f"{name} must be a {kind.__name__}, got {type(model).__name__}")
 
 
 def _without_torque(cartpole: CartPole, x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
@@ -238,8 +237,7 @@ class CartPoleSwingUp:
     trial: Trajectory = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.cartpole, CartPole):
-            raise TypeError(f"cartpole must be a CartPole, got {type(self.cartpole).__name__}")
+        _require_kind("cartpole", self.cartpole, CartPole)
         if not callable(self.acceleration):
             raise TypeError(f"acceleration must be a function of time, got {self.acceleration!r}")
         _validate.positive("switch", self.switch)
@@ -253,12 +251,8 @@ class CartPoleSwingUp:
                 raise ValueError(
                     f"{name} must be on the track [{low:g}, {high:g}] m, got {place:g} m"
                 )
-        system = System(
-            rate=partial(_without_torque, self.cartpole),
-            states=CartPole.states,
-            inputs=CartPole.inputs[:1],
-            name="cartpole without torque",
-        )
+        rate, name = partial(_without_torque, self.cartpole), "cartpole without torque"
+        system = System(rate, CartPole.states, CartPole.inputs[:1], name=name)
         at_top = [target, np.pi / 2, 0.0, 0.0]
         catch = LQR(system, at_top, Q=self.Q, R=self.R, limit=self.limit, circle=("theta",))
         vars(self).update(catch=catch)
@@ -266,33 +260,31 @@ class CartPoleSwingUp:
 
     def _try(self) -> Trajectory:
         hanging = [self.start, -np.pi / 2, 0.0, 0.0]
-        times = np.linspace(0.0, self.switch, _SAMPLES)
-        swing = simulate(self.cartpole, hanging, self._planned, times=times)
-        needed = np.abs(np.asarray(swing.controls)).max()
+        plan, catch = (np.linspace(0.0, end, _SAMPLES) for end in (self.switch, _SETTLING))
+        times = np.concatenate([plan, self.switch + catch[1:]])
+
+        def law(x: np.ndarray, t: float) -> np.ndarray:
+            return self._planned(x, t) if t < self.switch else self(x, t)
+
+        run = simulate(self.cartpole, hanging, law, times=times, switches=[self.switch])
+        swing = run.states[:, :_SAMPLES]
+        needed = max(abs(self._planned(*xt)[0]) for xt in zip(swing.T, plan.tolist(), strict=True))
         if needed > self.limit:
             raise ValueError(f"the plan needs {needed:.4g} N, the limit is {self.limit:g} N")
-        self._require_track("the plan", swing)
-        times = np.linspace(self.switch, self.switch + _SETTLING, _SAMPLES)
-        hold = simulate(self.cartpole, swing.states[:, -1], self, times=times, rtol=1e-6)
-        _, angle, _, rate = self.catch.error(hold.states[:, -1])
+        self._require_track("the plan", swing[0])
+        _, angle, _, rate = self.catch.error(run.states[:, -1])
         if max(abs(angle), abs(rate)) > _SETTLED:
             raise ValueError(
                 f"the pole is not caught: {_SETTLING:g} s after the switch it is {angle:.3g} rad "
                 f"from upright at {rate:.3g} rad/s; switch at another time or allow more force"
             )
         # Of a pole that is lost the cart's way says nothing: it runs after it, ever farther.
-        self._require_track("the catch", hold)
-        return Trajectory(
-            np.concatenate([swing.times, hold.times[1:]]),
-            np.concatenate([swing.states, hold.states[:, 1:]], axis=1),
-            np.concatenate([swing.controls, np.asarray(hold.controls)[:, 1:]], axis=1),
-            state_labels=CartPole.states,
-            input_labels=CartPole.inputs,
-        )
+        self._require_track("the catch", run.states[0])
+        return run
 
-    def _require_track(self, name: str, run: Trajectory) -> None:
+    def _require_track(self, name: str, places: np.ndarray) -> None:
         low, high = self.track
-        lowest, highest = run.states[0].min(), run.states[0].max()
+        lowest, highest = places.min(), places.max()
         if lowest < low or highest > high:
             raise ValueError(
                 f"{name} takes the cart over [{lowest:.4g}, {highest:.4g}] m, "

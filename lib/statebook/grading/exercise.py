@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-LEVELS = ("read off", "compute", "derive", "debug", "design", "play")
+LEVELS = ("read off", "compute", "derive", "debug", "design", "play", "project")
 
 Parameters = SimpleNamespace
 
@@ -36,6 +36,35 @@ class Slip:
 
 
 @dataclass(frozen=True)
+class Rubric:
+    """What an answer earns, row by row, and the numbers to compare it by.
+
+    Attributes
+    ----------
+    rows : tuple of (int, str, str)
+        Points, what is asked, and what is wrong with it, or nothing.
+    score : str
+        Shown where nothing is wrong.
+    """
+
+    rows: tuple[tuple[int, str, str], ...]
+    score: str
+
+    @property
+    def points(self) -> int:
+        """Sum of the rows in which nothing is wrong."""
+        return sum(points for points, _, trouble in self.rows if not trouble)
+
+    def __str__(self) -> str:
+        lines = [
+            f"  {0 if trouble else points} of {points}  {asked}{trouble and f': {trouble}'}"
+            for points, asked, trouble in self.rows
+        ]
+        whole = all(not trouble for _, _, trouble in self.rows)
+        return "\n".join(lines + [f"  leaderboard: {self.score}"] * whole)
+
+
+@dataclass(frozen=True)
 class Exercise:
     """What a checker knows of one exercise.
 
@@ -44,7 +73,7 @@ class Exercise:
     id : str
         Chapter and number, as "07.2".
     title : str
-    level : {"read off", "compute", "derive", "debug", "design", "play"}
+    level : {"read off", "compute", "derive", "debug", "design", "play", "project"}
     minutes, points : int
     draw : callable
         draw(rng) returns a student's parameters by name, numbers that can be typed.
@@ -60,7 +89,8 @@ class Exercise:
         judge(answer, p) returns what is wrong, or nothing: instead of a comparison with the
         solution, where many answers are right. It gets finite numbers in the solution's shape,
         or a function whose every call runs in a process of its own; the judge bounds such
-        values before it simulates with them.
+        values before it simulates with them. Of a function it may return a `Rubric`, whose
+        points add up to those of the exercise.
     """
 
     id: str
@@ -73,7 +103,7 @@ class Exercise:
     points: int = 1
     rtol: float = 1e-3
     inputs: Callable[[Parameters, np.random.Generator], list[tuple[Any, ...]]] | None = None
-    judge: Callable[[Any, Parameters], str] | None = None
+    judge: Callable[[Any, Parameters], str | Rubric] | None = None
 
     def parameters(self, student: str | int) -> Parameters:
         """Return a student's parameters: the same for the same name or number, anywhere."""

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from statebook.grading.exercise import Exercise, Parameters, find_exercise, student_named
+from statebook.grading.exercise import Exercise, Parameters, Rubric, find_exercise, student_named
 from statebook.grading.sandbox import AnswerError, Apart, as_array, kind, told
 
 # A wrong number that is the right one times one of these comes from a slip of this kind.
@@ -94,12 +94,17 @@ def grade(id: str, answer: Any, student: str | int) -> Grade:
         raise  # no fault of the answer
     except Exception as error:  # whatever an answer is, the student gets a sentence
         trouble = f"this answer does not work ({told(error)})"
-    points = 0 if trouble else task.points
-    message = trouble or f"yes ({points} of {task.points} points)"
-    return Grade(id, not trouble, message, points)
+    if isinstance(trouble, Rubric):
+        points, rows = trouble.points, f"\n{trouble}"
+    else:
+        points, rows = 0 if trouble else task.points, ""
+    right = points == task.points
+    earned = f"{points} of {task.points} points"
+    message = (f"yes ({earned})" if right else f"{earned}" if rows else str(trouble)) + rows
+    return Grade(id, right, message, points)
 
 
-def _trouble(task: Exercise, answer: Any, p: Parameters, student: str | int) -> str:
+def _trouble(task: Exercise, answer: Any, p: Parameters, student: str | int) -> str | Rubric:
     if answer is None or answer is ...:
         return f"there is no answer yet: replace {answer!r}"
     wanted = task.solution(p)
@@ -128,7 +133,7 @@ def _trouble(task: Exercise, answer: Any, p: Parameters, student: str | int) -> 
 def _judged(id: str, student: str | int, answer: np.ndarray) -> str:
     task = find_exercise(id)
     assert task.judge is not None
-    return task.judge(answer, task.parameters(student))
+    return str(task.judge(answer, task.parameters(student)))
 
 
 def _compared(task: Exercise, student: str | int, function: Apart, p: Parameters) -> str:
@@ -163,14 +168,15 @@ def compare(
     value, wanted = as_array(answer), np.asarray(wanted, dtype=float)
     if trouble := _not_like(value, wanted, answer):
         return trouble
+    exact = min(task.rtol, 0.02)  # a figure may be read off roughly; no factor is a coincidence
     guesses = chain(
-        [("", wanted)],
-        ((slip.hint, slipped(slip.answer)) for slip in task.slips),
-        [("is it transposed?", wanted.T)],
-        ((hint, factor * wanted) for factor, hint in _FACTORS.items()),
-        [("look at the signs", np.copysign(wanted, value))],
+        [("", wanted, task.rtol)],
+        ((slip.hint, slipped(slip.answer), task.rtol) for slip in task.slips),
+        [("is it transposed?", wanted.T, task.rtol)],
+        ((hint, factor * wanted, exact) for factor, hint in _FACTORS.items()),
+        [("look at the signs", np.copysign(wanted, value), task.rtol)],
     )
-    said = (what for what, guess in guesses if _close(value, guess, task.rtol))
+    said = (hint for hint, guess, rtol in guesses if _close(value, guess, rtol))
     return next(said, "that is not it")
 
 
@@ -180,8 +186,10 @@ def _not_like(value: np.ndarray, wanted: np.ndarray, answer: Any) -> str:
         return f"the answer must be {kind(wanted)}, got {kind(answer)}"
     if value.shape != wanted.shape:
         turned = wanted.ndim == 2 and value.shape == wanted.shape[::-1]
-        also = "; is it transposed?" if turned else ""
-        return f"the answer must have shape {wanted.shape}, got {value.shape}{also}"
+        numbers = {0: "one number", 1: f"{wanted.size} numbers in a row"}
+        also = numbers.get(wanted.ndim, " rows of ".join(map(str, wanted.shape)) + " numbers")
+        also = "is it transposed?" if turned else f"give {also}"
+        return f"the answer must have shape {wanted.shape}, got {value.shape}: {also}"
     return "" if np.isfinite(value).all() else "the answer must be finite"
 
 

@@ -38,8 +38,8 @@ def timed_path(timed: TimedPath, *, ax: Axes | None = None) -> Axes:
     --------
     >>> import statebook as sb
     >>> timed = sb.time_scale(sb.Path.through([[0, 1, 0]]), velocity=1, acceleration=2)
-    >>> timed_path(timed).get_ylabel()
-    "$s'$ [1/s]"
+    >>> timed_path(timed).get_xlabel()
+    '$s$'
     """
     from statebook.timescale.timed_path import TimedPath
 
@@ -52,6 +52,6 @@ def timed_path(timed: TimedPath, *, ax: Axes | None = None) -> Axes:
     limit = timed.maximum_speed(s)
     ax.plot(s, np.where(np.isfinite(limit), limit, np.nan), "--", color="0.4", label="maximum")
     ax.plot(timed.s, timed.sdot, color="C0", label="profile")
-    ax.set(xlabel="$s$", ylabel="$s'$ [1/s]", ylim=(0, 1.3 * timed.sdot.max()))
+    ax.set(xlabel="$s$", ylabel=r"$\dot s$ [1/s]", ylim=(0, 1.3 * timed.sdot.max()))
     ax.legend()
     return ax

@@ -60,14 +60,11 @@ def read_bounds(name: str, value: Any, rows: int, path: Path, around_zero: bool 
         cells = np.union1d(path.curve.x, np.linspace(path.s_start, path.s_end, _CELLS + 1)[1:-1])
         values = np.array([at(s) for s in (cells[1:] + cells[:-1]) / 2])
         widest, reach = _reach(values)
-        found = fit(
-            lambda s: np.clip([at(si) for si in s], -reach, reach),
-            cells,
-            _DEGREE,
-            _MISFIT,
-            (0,),
-            rough=True,
-        )
+
+        def finite(s: np.ndarray) -> np.ndarray:
+            return np.clip([at(si) for si in s], -reach, reach)
+
+        found = fit(finite, cells, _DEGREE, _MISFIT, (0,), rough=True)
         error = found.error[0]
         found.curve.c[-1] += np.repeat([1.0, -1.0], rows) * error
         loss = 2 * float((error / np.maximum(np.abs(found.curve.c[-1]), error)).max())

@@ -13,14 +13,13 @@ every motion, and the time it takes below every time.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from statebook.timescale.bernstein import along
 from statebook.timescale.grid import Grid, Section
-from statebook.timescale.limits import Limit, polygon
+from statebook.timescale.limits import Limit
 from statebook.timescale.profile import travel_time
 
 _COUNT = 5
@@ -34,6 +33,7 @@ _STEEP = 1.0  # log E may change by so much in an interval, or the inequality is
 _ROUGH = 1e-2  # the highest power in it may be so large
 _REST = 0.1  # what comes beyond the highest power is smaller than this part of it
 _ROUNDING = 1e-9
+_QUIET = np.errstate(divide="ignore", invalid="ignore", over="ignore")
 _SAME = 1e-8  # part by which a given s'^2 may be above the bound
 _BLOCK = 2000  # intervals at a time
 _NEWTON = 30
@@ -41,23 +41,18 @@ _ANY = 1e150  # stands for no bound
 _BEND = 1.2  # between nodes bounds are taken for quadratics, bent by this much more
 
 
-@dataclass(frozen=True, eq=False)
-class Ceiling:
-    """Bounds on every motion: s'^2 at both ends of the intervals, (2, N), and the times (N,).
+class Ceiling(NamedTuple):
+    """Bounds on every motion: s'^2 at both ends of the intervals, (2, N), and the duration.
 
     Where there can be no motion, it is not possible.
     """
 
     x: np.ndarray
-    times: np.ndarray
+    duration: float
     possible: bool
 
-    @property
-    def duration(self) -> float:
-        """No motion takes less."""
-        return float(self.times.sum())
 
-
+@_QUIET
 def ceiling(limits: Sequence[Limit], grid: Grid) -> Ceiling:
     """Bound every motion from above.
 
@@ -67,35 +62,20 @@ def ceiling(limits: Sequence[Limit], grid: Grid) -> Ceiling:
     grid : Grid
         The finer it is, the sharper is the bound.
     """
-    blocks = [
-        slice(first, min(first + _BLOCK, len(grid.h))) for first in range(0, len(grid.h), _BLOCK)
-    ]
+    blocks = [slice(first, first + _BLOCK) for first in range(0, len(grid.h), _BLOCK)]
     parts = [_changes_and_caps(limits, grid.part(block)) for block in blocks]
     x, possible = _highest_motion(parts, grid.sections)
-    times = [
-        _least_times(*part, x[:, block], grid.h[block])
-        for part, block in zip(parts, blocks, strict=True)
-    ]
-    return Ceiling(x, np.concatenate(times), possible)
+    duration = 0.0
+    for part, block in zip(parts, blocks, strict=True):
+        duration += float(_least_times(*part, x[:, block], grid.h[block]).sum())
+    return Ceiling(x, duration, possible)
 
 
+@_QUIET
 def maximum_speeds(limits: Sequence[Limit], grid: Grid, s: np.ndarray) -> np.ndarray:
     """Return the largest s' for which some s'' satisfies all limits at s, shape (N,)."""
-    grid, middle, one = grid.at(s), np.zeros(1), np.ones(len(s))
-    rows = []
-    for limit in limits:
-        a, b, c = limit.terms(grid, middle, one)
-        size = limit.scale**2 if limit.squared else limit.scale
-        if limit.squared:
-            lower, upper = np.array(-np.inf), limit.squared_bounds(grid, middle)
-        else:
-            lower, upper = limit.bounds(grid, middle)
-        if limit.norm and a is not None:
-            a, b = polygon(a, b)
-            lower = np.full_like(upper, -np.inf)
-        shift = 0.0 if c is None else c
-        parts = (0.0 if a is None else a, b, lower - shift, upper - shift)
-        rows.append([np.broadcast_to(part / size, b.shape) for part in parts])
+    grid = grid.at(s)
+    rows = [limit.inequalities(grid, np.zeros(1)) for limit in limits]
     a, b, lower, upper = (np.concatenate(values, axis=2) for values in zip(*rows, strict=True))
     a = np.where(np.abs(a) > 1e-12 * np.abs(a).max(axis=(0, 1)), a, 0.0)
     return np.asarray(np.sqrt(_highest(a, b, lower, upper)[0]) / grid.stretch)
@@ -120,26 +100,15 @@ def _changes_and_caps(limits: Sequence[Limit], grid: Grid) -> tuple[Changes, np.
     cap = np.full((_COUNT, len(grid.h)), np.inf)
     rows, changes = [], []
     for limit in limits:
-        a, b, c = limit.terms(grid, _NODES, np.ones(len(grid.h)))
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            if a is None:
-                # Each node alone: the sign of p' may change between them.
-                bound = limit.squared_bounds(grid, _NODES, lambda values: values[None])
-                room = np.where(b > 0, bound / b, np.inf).min(axis=-1).reshape(cap.shape)
-                cap = np.minimum(cap, room * (1 + _ROUNDING + limit.margin))
-                continue
-            lower, upper = limit.bounds(grid, _NODES)
-            if limit.norm:
-                a, b = polygon(a, b)
-                lower = np.full_like(upper, -np.inf)
-            slack = limit.margin * limit.scale - (0.0 if c is None else c)
-            lower, upper = (
-                np.broadcast_to(v, b.shape)
-                for v in (lower - 2 * limit.margin * limit.scale + slack, upper + slack)
-            )
-            a = np.where(np.abs(a) > _FLAT * np.abs(a).max(axis=0), a, 0.0)
-            changes.append(_changes(a, b, lower, upper, grid.h))
-            rows.append([(v / limit.scale)[[0, -1]] for v in (a, b, lower, upper)])
+        a, b, lower, upper = limit.inequalities(grid, _NODES)
+        if limit.squared:
+            highest = (1 + _ROUNDING + limit.margin) / np.maximum(b.max(axis=2), 1e-300)
+            cap = np.minimum(cap, highest)
+            continue
+        lower, upper = lower - limit.margin, upper + limit.margin
+        a = np.where(np.abs(a) > _FLAT * np.abs(a).max(axis=0), a, 0.0)
+        changes.append(_changes(a, b, lower, upper, grid.h))
+        rows.append([v[[0, -1]] for v in (a, b, lower, upper)])
     every = Changes(*(np.concatenate(values, axis=-1) for values in zip(*changes, strict=True)))
     a, b, lower, upper = (np.concatenate(values, axis=2) for values in zip(*rows, strict=True))
     # The same for x at one end and at the other, in the place of x and u.
@@ -231,28 +200,27 @@ def _highest(a: np.ndarray, b: np.ndarray, lower: np.ndarray, upper: np.ndarray)
     concave: from above, Newton's method comes down to where they meet, and never below.
     """
     flat = a == 0
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        direct = np.where(b > 0, upper, lower) / b
-        x = np.where(flat & (b != 0) & (direct >= 0), direct, _ANY).min(axis=-1)
-        pole = np.where(flat, 1.0, a)
-        slope = -b / pole
-        low = np.where(flat, -np.inf, np.where(a > 0, lower, upper) / pole)
-        high = np.where(flat, np.inf, np.where(a > 0, upper, lower) / pole)
-        shape, x = x.shape, x.ravel()
-        low, high, slope = (v.reshape(len(x), -1) for v in (low, high, slope))
-        falling = np.arange(len(x))
-        for _ in range(_NEWTON):
-            every, line = np.arange(len(falling)), slope * x[falling, None]
-            least, most = (low + line).argmax(axis=1), (high + line).argmin(axis=1)
-            steep = slope[every, least] - slope[every, most]
-            meet = np.maximum((high[every, most] - low[every, least]) / steep, 0.0)
-            on = (steep > 0) & (meet < x[falling] * (1 - 1e-12))
-            if not on.any():
-                break
-            falling = falling[on]
-            x[falling] = meet[on]
-            low, high, slope = low[on], high[on], slope[on]
-        x = x.reshape(shape)
+    direct = np.where(b > 0, upper, lower) / b
+    x = np.where(flat & (b != 0) & (direct >= 0), direct, _ANY).min(axis=-1)
+    pole = np.where(flat, 1.0, a)
+    slope = -b / pole
+    low = np.where(flat, -np.inf, np.where(a > 0, lower, upper) / pole)
+    high = np.where(flat, np.inf, np.where(a > 0, upper, lower) / pole)
+    shape, x = x.shape, x.ravel()
+    low, high, slope = (v.reshape(len(x), -1) for v in (low, high, slope))
+    falling = np.arange(len(x))
+    for _ in range(_NEWTON):
+        every, line = np.arange(len(falling)), slope * x[falling, None]
+        least, most = (low + line).argmax(axis=1), (high + line).argmin(axis=1)
+        steep = slope[every, least] - slope[every, most]
+        meet = np.maximum((high[every, most] - low[every, least]) / steep, 0.0)
+        on = (steep > 0) & (meet < x[falling] * (1 - 1e-12))
+        if not on.any():
+            break
+        falling = falling[on]
+        x[falling] = meet[on]
+        low, high, slope = low[on], high[on], slope[on]
+    x = x.reshape(shape)
     return np.where(x >= _ANY, np.inf, x * (1 + _ROUNDING))
 
 
@@ -263,9 +231,8 @@ def _highest_motion(
     possible = True
     ends = [(c.m[0], c.m[-1], c.low[-1], c.high[-1], c.turn) for c, _ in parts]
     m0, m1, low, high, turn = (np.concatenate(values) for values in zip(*ends, strict=True))
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        gain, loss = (np.where((d > 0) & ~turn, n / d, 0.0) for n, d in ((m0, m1), (m1, m0)))
-        more, less = (np.where(d > 0, n / d, np.inf) for n, d in ((high, m1), (-low, m0)))
+    gain, loss = (np.where((d > 0) & ~turn, n / d, 0.0) for n, d in ((m0, m1), (m1, m0)))
+    more, less = (np.where(d > 0, n / d, np.inf) for n, d in ((high, m1), (-low, m0)))
     x = np.minimum(np.concatenate([cap[[0, -1]] for _, cap in parts], axis=1), _ANY)
     for first, last, start, end in sections:
         top = np.append(x[0, first:last], x[1, last - 1])
@@ -308,18 +275,13 @@ def _least_times(changes: Changes, cap: np.ndarray, x: np.ndarray, h: np.ndarray
     """
     m, low, high, turn, push = changes
     first, last = (np.where(turn, 0.0, m[i] * x[i][:, None]) for i in (0, -1))
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        ahead, back = first + high, last - (low[-1] - low)
-        back[-1, turn] = np.inf
-        alone = _time_of_rows(ahead, push, 1), _time_of_rows(back, push, -1)
-        bounds = np.concatenate(
-            [
-                np.where(m > 0, ahead / m, np.inf),
-                np.where(m > 0, back / m, np.inf),
-                cap[:, :, None],
-            ],
-            axis=2,
-        )
+    ahead, back = first + high, last - (low[-1] - low)
+    back[-1, turn] = np.inf
+    alone = _time_of_rows(ahead, push, 1), _time_of_rows(back, push, -1)
+    bounds = np.concatenate(
+        [np.where(m > 0, ahead / m, np.inf), np.where(m > 0, back / m, np.inf), cap[:, :, None]],
+        axis=2,
+    )
     beyond = turn & ~np.isfinite(ahead[:-1]) & ~np.isfinite(back[1:])
     longest = np.where(beyond, alone[0] + alone[1], np.maximum(*alone)).max(axis=2)
     times = np.zeros(len(h))
@@ -355,8 +317,7 @@ def _time_under(bounds: np.ndarray, k: int) -> np.ndarray:
     left, right = (_bend(curve[near], _NODES[near]) * step**2 for curve in curves)
     (l0, l1), (r0, r1) = (curve[k : k + 2] for curve in curves)
     ahead, behind = l1 - r1, r0 - l0
-    with np.errstate(divide="ignore", invalid="ignore"):
-        z = np.where(ahead + behind > 0, behind / (ahead + behind), 1.0)
+    z = np.where(ahead + behind > 0, behind / (ahead + behind), 1.0)
     z = np.where(which[0] == which[1], 1.0, np.clip(z, 0.0, 1.0))
     peak = np.where(z < 1, l0 + z * (l1 - l0) - left * z * (1 - z), r1)
     peak = np.maximum(peak, 1e-300)

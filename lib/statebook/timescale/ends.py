@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -118,13 +119,12 @@ def take(
     InfeasiblePathError
         The duration is out of reach.
     """
+    refused = partial(InfeasiblePathError, constraint="duration", s=s_end)
     wanted, shortest = duration - pause, profile.duration
     if wanted < shortest * (1 - 1e-12):
-        raise InfeasiblePathError(
+        raise refused(
             f"duration must be at least {shortest + pause:.9g} s, the time of the fastest motion; "
-            f"got {duration:g}",
-            constraint="duration",
-            s=s_end,
+            f"got {duration:g}"
         )
     if wanted <= shortest:
         return profile
@@ -132,12 +132,10 @@ def take(
         slower = profile.slower(wanted / shortest)
         given = profile.grid.sections[0].start or profile.grid.sections[-1].end
         if given or audit(slower, limits).worst.use > 1 + MARGIN:
-            raise InfeasiblePathError(
+            raise refused(
                 "with a jerk limit a given duration is reached by slowing the motion down "
                 "uniformly, which changes speeds given for the ends and must not exceed torque "
-                f"limits: here only {shortest + pause:.9g} s is possible; got {duration:g}",
-                constraint="duration",
-                s=s_end,
+                f"limits: here only {shortest + pause:.9g} s is possible; got {duration:g}"
             )
         return slower
     # A slower motion has less drag to brake with: it must do without.
@@ -157,10 +155,8 @@ def take(
 
     if late(_SLOWEST) < 0:
         longest = mixture(_SLOWEST).duration + pause
-        raise InfeasiblePathError(
+        raise refused(
             f"duration must be at most {longest:.9g} s: with these limits, and these speeds at the "
-            f"ends, no motion is slower; got {duration:g}",
-            constraint="duration",
-            s=s_end,
+            f"ends, no motion is slower; got {duration:g}"
         )
     return mixture(scipy.optimize.brentq(late, _SLOWEST, 0.0, xtol=1e-15))

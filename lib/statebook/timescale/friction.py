@@ -124,10 +124,7 @@ def _first_speed(limit: TorqueLimit, grid: Grid) -> np.ndarray:
 
 def _speed_of(profile: Profile, grid: Grid) -> np.ndarray:
     """Return s'^2 (5, N) of a motion on another grid of the same path."""
-    start, end = profile.grid.s_at(np.array([0.0, 1.0]))
-    s = grid.s_at(_LOOK)
-    i = np.maximum(np.searchsorted(start, s, side="right") - 1, 0)
-    z = np.clip((s - start[i]) / (end[i] - start[i]), 0.0, 1.0)
+    i, z = profile.grid.find(grid.s_at(_LOOK))
     bend = profile.bulge[i] * z * (1 - z)
     return np.maximum(profile.x0[i] * (1 - z) + profile.x1[i] * z - bend, 0.0)
 

@@ -53,6 +53,15 @@ class Grid:
         offset = (self.offset + np.multiply.outer(z, self.h)) / self.stretch
         return self.pieces.origin[self.piece] + offset
 
+    def find(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the intervals that hold values of the path parameter, and the fractions of them.
+
+        Where nothing moves: the end of the interval before.
+        """
+        start, end = self.s_at(np.array([0.0, 1.0]))
+        i = np.maximum(np.searchsorted(start, s, side="right") - 1, 0)
+        return i, np.clip((s - start[i]) / (end[i] - start[i]), 0.0, 1.0)
+
     def path(self, z: np.ndarray, derivative: int) -> np.ndarray:
         """Return a derivative of p(r) at fractions z (K,) of the intervals, shape (K, N, dof)."""
         offset = self.offset + np.multiply.outer(z, self.h)
@@ -67,13 +76,8 @@ class Grid:
 
     def part(self, intervals: slice | np.ndarray) -> Grid:
         """Return some of the intervals, without their sections."""
-        return replace(
-            self,
-            piece=self.piece[intervals],
-            offset=self.offset[intervals],
-            h=self.h[intervals],
-            sections=(),
-        )
+        piece, offset, h = (values[intervals] for values in (self.piece, self.offset, self.h))
+        return Grid(self.pieces, piece, offset, h, ())
 
     def split(self, counts: np.ndarray) -> tuple[Grid, np.ndarray, np.ndarray, np.ndarray]:
         """Cut interval i into counts[i] equal parts.
@@ -95,13 +99,8 @@ class Grid:
             for part in self.sections
         )
         left, right = index / parts, (index + 1) / parts
-        grid = replace(
-            self,
-            piece=self.piece[parent],
-            offset=self.offset[parent] + left * self.h[parent],
-            h=self.h[parent] / parts,
-            sections=sections,
-        )
+        offset = self.offset[parent] + left * self.h[parent]
+        grid = Grid(self.pieces, self.piece[parent], offset, self.h[parent] / parts, sections)
         return grid, parent, left, right
 
 
@@ -132,19 +131,14 @@ def lay_grid(
     follows = kept[1:] == kept[:-1] + 1
     smooth = follows & pieces.smooth[kept[:-1]]
     joints = pieces.origin[kept[1:], None]
-    smooth &= ~np.isclose(joints, halts, rtol=0, atol=2e-12 * (path.s_end - path.s_start)).any(
-        axis=1
-    )
+    near = 2e-12 * (path.s_end - path.s_start)
+    smooth &= (np.abs(joints - halts) > near).all(axis=1)
     bounds = np.concatenate([[0], np.flatnonzero(~smooth) + 1, [len(kept)]])
     rest_left, rest_right = pieces.rest[:, kept]
+    rests = zip(rest_left[bounds[:-1]], rest_right[bounds[1:] - 1], strict=True)
     sections = [
-        Section(
-            int(first),
-            int(last),
-            None if rest_left[first] else 0.0,
-            None if rest_right[last - 1] else 0.0,
-        )
-        for first, last in pairwise(bounds)
+        Section(*ends, *(None if rest else 0.0 for rest in at_rest))
+        for ends, at_rest in zip(pairwise(bounds.tolist()), rests, strict=True)
     ]
     _set_ends(pieces, sections, start_speed, end_speed)
     calm = rest_right[:-1] & rest_left[1:]

@@ -45,36 +45,39 @@ class JerkProfile(Profile):
 
     @cached_property
     def _ends(self) -> tuple[np.ndarray, ...]:
-        """Return of each interval at rest index, order, whether it arrives, power, h and peak."""
+        """Return of each interval at rest index, order, whether it arrives, h and peak."""
         index = np.flatnonzero(self.rest)
-        order, arrives = np.abs(self.rest[index]), self.rest[index] < 0
         peak = np.maximum(self.x0, self.x1)[index]
-        return index, order, arrives, 2 - 2 * order / 3, self.grid.h[index], peak
+        return index, np.abs(self.rest[index]), self.rest[index] < 0, self.grid.h[index], peak
 
     @cached_property
     def steps(self) -> np.ndarray:
-        index, order, _, _, h, peak = self._ends
+        index, order, _, h, peak = self._ends
         steps = travel_time(self.grid.h, self.x0, self.x1, self.bulge)
         steps[index] = 3 * h / (order * np.sqrt(peak))
         return steps
 
     def x(self, z: np.ndarray) -> np.ndarray:
-        index, _, arrives, power, _, peak = self._ends
         x = super().x(z)
-        x[:, index] = peak * np.where(arrives, 1 - z[:, None], z[:, None]) ** power
+        x[:, self._ends[0]] = self._leaving(z[:, None])[0]
         return x
 
     def u(self, z: np.ndarray) -> np.ndarray:
-        index, _, arrives, _, _, _ = self._ends
         u = super().u(z)
-        u[:, index] = self._rest_rate(np.where(arrives, 1 - z[:, None], z[:, None]))
+        u[:, self._ends[0]] = self._leaving(z[:, None])[1]
         return u
 
-    def _rest_rate(self, y: np.ndarray, member: Any = slice(None)) -> np.ndarray:
-        """Return s'' at fractions y of the way from rest; 0 at rest, where p' s'' is 0."""
-        _, _, arrives, power, h, peak = (part[member] for part in self._ends)
-        y, sign = np.where(y > 0, y, 1.0), np.where(arrives, -1.0, 1.0) * (y > 0)
-        return sign * power / 2 * peak / h * y ** (power - 1)
+    def _leaving(self, z: np.ndarray, member: Any = slice(None)) -> tuple[np.ndarray, ...]:
+        """Return s'^2, s'' and s''' at fractions of the intervals at rest.
+
+        At rest s'' is 0, for p' s'' is; so is p' s''' there if that is infinite.
+        """
+        _, order, arrives, h, peak = (part[member] for part in self._ends)
+        y, power = np.where(arrives, 1 - z, z), 2 - 2 * order / 3
+        away, sign = np.where(y > 0, y, 1.0), np.where(arrives, -1.0, 1.0) * (y > 0)
+        rate = sign * power / 2 * peak / h * away ** (power - 1)
+        third = power * (power - 1) / 2 * peak**1.5 / h**2 * away ** (1.0 - order)
+        return peak * y**power, rate, third
 
     def time_at(self, interval: np.ndarray, z: np.ndarray) -> np.ndarray:
         rest = self.rest[interval]
@@ -89,14 +92,14 @@ class JerkProfile(Profile):
         if len(at_rest):
             j = i[at_rest]
             member = np.searchsorted(self._ends[0], j)
-            _, order, arrives, power, h, peak = (part[member] for part in self._ends)
+            _, order, arrives, h, _ = (part[member] for part in self._ends)
             part = np.clip((t[at_rest] - self.times[j]) / self.steps[j], 0.0, 1.0)
             # At a rest of order 2 s'' is infinite and p' 0: look so near that p does not move.
             y = np.maximum(np.where(arrives, 1 - part, part), np.where(order > 1, 1e-6, 0.0))
-            y = y ** (3 / order)
-            ds[at_rest] = np.where(arrives, h * (1 - y), h * y)
-            speed[at_rest] = np.sqrt(peak) * y ** (power / 2)
-            u[at_rest] = self._rest_rate(y, member)
+            z = np.where(arrives, 1 - y ** (3 / order), y ** (3 / order))
+            ds[at_rest] = h * z
+            x, u[at_rest], _ = self._leaving(z, member)
+            speed[at_rest] = np.sqrt(x)
         return i, ds, speed, u
 
     def locate_one(self, t: float) -> tuple[int, float, float, float]:
@@ -104,16 +107,14 @@ class JerkProfile(Profile):
         return int(i[0]), float(ds[0]), float(speed[0]), float(u[0])
 
     def third(self, i: Any, ds: Any, speed: Any) -> np.ndarray:
-        shape = np.shape(i)
-        i, ds, speed = (np.atleast_1d(values) for values in (i, ds, speed))
-        third = super().third(i, ds, speed)
-        at_rest = np.flatnonzero(self.rest[i])
-        member = np.searchsorted(self._ends[0], i[at_rest])
-        _, order, arrives, power, h, peak = (part[member] for part in self._ends)
-        y = np.where(arrives, 1 - ds[at_rest] / h, ds[at_rest] / h)
-        y = np.where((y > 0) | (order == 1), y, 1.0)
-        third[at_rest] = power * (power - 1) / 2 * peak**1.5 / h**2 * y ** (1.0 - order)
-        return third.reshape(shape)
+        third = np.array(super().third(i, ds, speed))
+        at_rest = self.rest[i] != 0
+        if at_rest.any():
+            j = np.asarray(i)[at_rest]
+            member = np.searchsorted(self._ends[0], j)
+            z = np.asarray(ds)[at_rest] / self.grid.h[j]
+            third[at_rest] = self._leaving(z, member)[2]
+        return third
 
     def parts(self) -> list[tuple[Profile, np.ndarray, Warp, int]]:
         parts: list[tuple[Profile, np.ndarray, Warp, int]] = []
@@ -129,70 +130,55 @@ class JerkProfile(Profile):
 
     def take(self, index: np.ndarray) -> JerkProfile:
         """Return the intervals of an index as a profile of their own."""
-        return replace(
-            self,
-            grid=self.grid.part(index),
-            x0=self.x0[index],
-            x1=self.x1[index],
-            curvature=self.curvature[index],
-            controllable=self.controllable[:, index],
-            rest=self.rest[index],
-        )
+        names = "x0", "x1", "curvature", "rest"
+        parts = {name: getattr(self, name)[index] for name in names}
+        sets = self.controllable[:, index]
+        return replace(self, grid=self.grid.part(index), controllable=sets, **parts)
 
     def jerk_use(self, z: np.ndarray) -> np.ndarray:
         """Return the part of the jerk limits that is used at fractions z, (K, N, dof)."""
         p1, p2, p3 = (self.grid.path(z, k) for k in (1, 2, 3))
         x, u = self.x(z), self.u(z)
-        rate = (self.bulge / self.grid.h**2) * np.sqrt(x)
-        index, order, arrives, power, h, peak = self._ends
-        y = np.where(arrives, 1 - z[:, None], z[:, None])
-        with np.errstate(divide="ignore"):
-            rate[:, index] = power * (power - 1) / 2 * peak**1.5 / h**2 * y ** (1.0 - order)
-        rate[~np.isfinite(rate)] = 0.0
+        rate = self._rate * np.sqrt(x)
+        rate[:, self._ends[0]] = self._leaving(z[:, None])[2]
         bend, twist = 3 * np.sqrt(x) * u, np.sqrt(x) ** 3
         jerk = p1 * rate[:, :, None] + p2 * bend[:, :, None] + p3 * twist[:, :, None]
         return np.maximum(jerk / self.upper, jerk / self.lower)
 
     def further_uses(self) -> list[Use]:
         """Return the largest use of each joint's jerk limit, exact to rounding."""
-        quadratic, ends = np.flatnonzero(self.rest == 0), self._ends[0]
         best = np.zeros(len(self.upper))
         places: list[tuple[int, float]] = [(0, 0.0)] * len(best)
-        for index in (quadratic, ends):
+        for index in (np.flatnonzero(self.rest == 0), self._ends[0]):
             if not len(index):
                 continue
-            part = self.take(index)
-            values, sign = _jerks(part) if index is quadratic else (_rest_jerks(part), None)
-            power = 2 if index is quadratic else 1
+            square, sign = self.take(index)._jerks()
             for bound, side in ((self.upper, 1), (self.lower, -1)):
-                scaled = values / np.abs(bound) ** power * (1 if power == 2 else side)
-                counts = None if sign is None else side * sign
-                use, interval, z = bernstein.maxima(scaled, counts)
-                use = np.maximum(use, 0.0) ** (1 / power)
+                use, interval, z = bernstein.maxima(square / bound**2, side * sign)
                 for row in np.flatnonzero(use > best):
                     best[row] = use[row]
                     places[row] = int(index[interval[row]]), float(z[row])
         return [
             Use("jerk", row, float(use), *self.where(*place), True)
-            for row, (use, place) in enumerate(zip(best, places, strict=True))
+            for row, (use, place) in enumerate(zip(np.sqrt(best), places, strict=True))
         ]
 
-
-def _jerks(part: JerkProfile) -> tuple[np.ndarray, np.ndarray]:
-    """Return Bernstein coefficients of jerk^2 = x P^2 and of P, where s'^2 is a quadratic."""
-    degree = max(2 * part.grid.degree, 2)
-    z = bernstein.nodes(degree)
-    p1, p2, p3 = (part.grid.path(z, k) for k in (1, 2, 3))
-    x, u = part.x(z)[:, :, None], part.u(z)[:, :, None]
-    value = p1 * (part.bulge / part.grid.h**2)[:, None] + 3 * p2 * u + p3 * x
-    to_bernstein = bernstein.from_values(degree)
-    return bernstein.along(to_bernstein, x * value**2), bernstein.along(to_bernstein, value)
-
-
-def _rest_jerks(part: JerkProfile) -> np.ndarray:
-    """Return Bernstein coefficients of the jerk where the motion leaves a rest or arrives."""
-    _, order, arrives, _, _, peak = part._ends
-    return rest_shape(part.grid, order, arrives) * (peak**1.5)[:, None]
+    def _jerks(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return Bernstein coefficients of jerk^2 and of its sign: all at rest, or none."""
+        if self.rest.any():
+            _, order, arrives, _, peak = self._ends
+            sign = rest_shape(self.grid, order, arrives) * (peak**1.5)[:, None]
+            degree = 2 * len(sign) - 2
+            z = bernstein.nodes(degree)
+            square = bernstein.along(bernstein.to_values(len(sign) - 1, z), sign) ** 2
+            return bernstein.along(bernstein.from_values(degree), square), sign
+        degree = max(2 * self.grid.degree, 2)
+        z = bernstein.nodes(degree)
+        p1, p2, p3 = (self.grid.path(z, k) for k in (1, 2, 3))
+        x, u = self.x(z)[:, :, None], self.u(z)[:, :, None]
+        sign = p1 * self._rate[:, None] + 3 * p2 * u + p3 * x
+        to_bernstein = bernstein.from_values(degree)
+        return bernstein.along(to_bernstein, x * sign**2), bernstein.along(to_bernstein, sign)
 
 
 def rest_shape(grid: Grid, order: np.ndarray, arrives: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ The unknowns are s'^2 and s'' at gridpoints; `jerk` has the form of the limit.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -15,7 +15,7 @@ import scipy
 
 from statebook.errors import InfeasiblePathError
 from statebook.timescale.grid import Grid
-from statebook.timescale.limits import Limit, polygon
+from statebook.timescale.limits import Limit, blocked
 
 _STEPS = 10  # times that rows are added, at most
 _LOOK = (0.0, 0.5, 1.0)  # where in an interval limits are asked for
@@ -80,46 +80,26 @@ def times_of(stretch: Stretch, motion: Motion) -> np.ndarray:
     return np.asarray(steps)
 
 
-class _Rows(NamedTuple):
-    """Rows bend x''/2 + u s'' + x s'^2 <= bound of a limit at a fraction z, arrays (N, R)."""
-
-    z: float
-    bend: np.ndarray | float
-    u: np.ndarray
-    x: np.ndarray
-    bound: np.ndarray
-    limit: Limit | None
-    side: str
-
-    def name(self, row: int) -> str:
-        """Name the limit of a row for a message."""
-        if self.limit is not None:
-            return self.limit.name(row, self.side)
-        return f"jerk of joint {row}, {self.side} limit"
-
-
 def _rows(
     task: Task, grid: Grid, x: np.ndarray, u: np.ndarray, z: float, margin: np.ndarray
-) -> Iterator[_Rows]:
-    """Yield the rows of all limits at a fraction z of each interval, around a motion."""
-    at, margin = np.array([z]), margin[:, None]
+) -> Iterator[tuple[Any, ...]]:
+    """Yield rows of all limits at a fraction z of each interval, around a motion, and names.
+
+    The rows are square x + left u0 + right u1 <= bound, four (N, R), in s'^2 at the left end and
+    s'' at both.
+    """
+    at, h, margin = np.array([z]), grid.h[:, None], margin[:, None]
+
+    def ends(bend: Any, rate: Any, square: Any, bound: np.ndarray) -> tuple[np.ndarray, ...]:
+        left = rate * (1 - z) - bend / h + square * h * (2 * z - z * z)
+        return square, left, rate * z + bend / h + square * h * z * z, bound
+
     for limit in task.limits:
-        a, b, c = limit.terms(grid, at, np.maximum(x[:-1], x[1:]))
-        if limit.squared:
-            bound = np.broadcast_to(limit.squared_bounds(grid, at), b.shape)[0]
-            room = np.broadcast_to(1 - margin - limit.margin, bound.shape)
-            yield _Rows(z, 0.0, np.zeros_like(b[0]), b[0] / bound, room, limit, "upper")
-            continue
-        lower, upper = limit.bounds(grid, at)
-        assert a is not None
-        if limit.norm:
-            a, b = polygon(a, b)
-            lower = np.full_like(upper, -np.inf)
-        c = np.zeros_like(b) if c is None else c
-        for side, sign, bound in (("upper", 1, upper), ("lower", -1, lower)):
-            room = np.broadcast_to(sign * (bound - c) / limit.scale - limit.room(grid), b.shape)[0]
-            factor = sign / limit.scale
-            yield _Rows(z, 0.0, factor * a[0], factor * b[0], room - margin, limit, side)
+        a, b, lower, upper = (part[0] for part in limit.inequalities(grid, at))
+        room = np.broadcast_to(limit.room(grid), (1, *b.shape))[0] + margin
+        for side, sign, bound in (("upper", 1, upper), ("lower", -1, -lower)):
+            names = [limit.name(row, side) for row in range(b.shape[1])]
+            yield *ends(0.0, sign * a, sign * b, bound - room), names
     p1, p2, p3 = (grid.path(at, k)[0] for k in (1, 2, 3))
     last = x[:-1] + grid.h * (2 * z * u[:-1] + z * z * (u[1:] - u[:-1]))
     last = np.maximum(last, np.minimum(x[:-1], x[1:]) / 4)[:, None]
@@ -127,79 +107,8 @@ def _rows(
         root = np.sqrt(last) / (bound * (1 - margin))
         # root P <= 3/2 - s'^2 / (2 last), the tangent of sqrt(last) / s'
         full = np.where(np.isfinite(root) & (root != 0), 1.5, np.inf)
-        yield _Rows(z, root * p1, 3 * root * p2, root * p3 + 0.5 / last, full, None, side)
-
-
-@dataclass
-class _Program:
-    """Rows of a program in s'^2 and s'' at gridpoints, in units of x and u."""
-
-    x: np.ndarray
-    u: float
-    entries: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=list)
-    bounds: list[np.ndarray] = field(default_factory=list)
-    names: list[tuple[np.ndarray, np.ndarray]] = field(default_factory=list)
-    rows: int = 0
-
-    def add(
-        self, x: Any, u: Any, bound: Any, name: Any = "", s: Any = np.nan, soft: bool = False
-    ) -> None:
-        """Add rows: x and u are lists of pairs of gridpoints and coefficients there.
-
-        Soft ones are relaxed by the last unknown.
-        """
-        bound = np.atleast_1d(np.asarray(bound, dtype=float))
-        index = self.rows + np.arange(len(bound))
-        for point, value in x:
-            self.entries.append((index, point, value * self.x[point]))
-        for point, value in u:
-            self.entries.append((index, point + len(self.x), value * np.full(len(bound), self.u)))
-        if soft:
-            self.entries.append((index, np.array(2 * len(self.x)), np.array(-1.0)))
-        self.rows += len(bound)
-        self.bounds.append(bound)
-        self.names.append((np.broadcast_to(name, bound.shape), np.broadcast_to(s, bound.shape)))
-
-    def add_used(
-        self,
-        rows: _Rows,
-        left_out: np.ndarray,
-        grid: Grid,
-        x: np.ndarray,
-        u: np.ndarray,
-        part: float,
-    ) -> None:
-        """Move rows of which a motion uses more than a part from those left out to the program."""
-        h, z = grid.h[:, None], rows.z
-        at_left = rows.u * (1 - z) - rows.bend / h + rows.x * h * (2 * z - z * z)
-        at_right = rows.u * z + rows.bend / h + rows.x * h * z * z
-        value = rows.x * x[:-1, None] + at_left * u[:-1, None] + at_right * u[1:, None]
-        i, row = np.nonzero(left_out & (value > part * rows.bound))
-        left_out[i, row] = False
-        names = np.array([rows.name(k) for k in range(value.shape[1])])
-        self.add(
-            [(i, rows.x[i, row])],
-            [(i, at_left[i, row]), (i + 1, at_right[i, row])],
-            rows.bound[i, row],
-            names[row],
-            grid.s[i],
-            soft=True,
-        )
-
-    def culprit(self, dual: np.ndarray) -> tuple[str, float]:
-        """Return the name and the place of the limit with the largest multiplier."""
-        names, s = (np.concatenate(values) for values in zip(*self.names, strict=True))
-        worst = int(np.where(names != "", np.abs(dual), 0.0).argmax())
-        return str(names[worst]), float(s[worst])
-
-    def matrix(self) -> Any:
-        """Return all rows as a sparse matrix."""
-        row, column, value = (
-            np.concatenate([np.broadcast_to(entry[k], entry[0].shape) for entry in self.entries])
-            for k in range(3)
-        )
-        shape = (self.rows, 2 * len(self.x) + 1)
-        return scipy.sparse.csc_matrix((value, (row, column)), shape=shape)
+        names = [f"jerk of joint {row}, {side} limit" for row in range(len(bound))]
+        yield *ends(root * p1, 3 * root * p2, root * p3 + 0.5 / last, full), names
 
 
 def improved(
@@ -212,100 +121,98 @@ def improved(
     """Solve one program around a motion, with a margin left of each limit in each interval."""
     margin = np.zeros(len(motion.r) - 1) if margin is None else margin
     leaves, arrives = (int(order > 0) for order in stretch.order)
-    steps = times_of(stretch, motion)
-    r = motion.r[leaves : len(motion.r) - arrives]
-    x, u = (values[leaves : len(values) - arrives] for values in (motion.x, motion.u))
-    h, points = np.diff(r), np.arange(len(r))
-    duration = steps.sum()
-    program = _Program(x, 4 * (r[-1] - r[0]) / duration**2)
-    left, right = points[:-1], points[1:]
-    size = 1 / (h * program.u)
-    program.add([(right, size), (left, -size)], [(left, -size * h), (right, -size * h)], 0 * size)
-    for end, order in enumerate(stretch.order):
-        at, speed = np.array([-end % len(r)]), stretch.speed[end]
+    steps, inside = times_of(stretch, motion), slice(leaves, len(motion.r) - arrives)
+    r, x, u = motion.r[inside], motion.x[inside], motion.u[inside]
+    h, duration = np.diff(r), steps.sum()
+    unit = 4 * (r[-1] - r[0]) / duration**2
+    count = len(r)
+    # The unknowns are s'^2 and s'' in units, and what exceeds the limits.
+    every = scipy.sparse.eye_array(2 * count + 1, format="csr")
+    at_x = scipy.sparse.diags_array(x) @ every[:count]
+    at_u, excess = unit * every[count:-1], every[-1:]
+    blocks: list[Any] = []
+    bounds: list[np.ndarray] = []
+
+    def add(rows: Any, bound: Any, size: Any = 1.0) -> None:
+        """Add rows <= bound, both times a size."""
+        sizes = np.broadcast_to(size, rows.shape[0])
+        blocks.append(scipy.sparse.diags_array(sizes) @ rows)
+        bounds.append(bound * sizes)
+
+    length = scipy.sparse.diags_array(h)
+    add(at_x[1:] - at_x[:-1] - length @ (at_u[:-1] + at_u[1:]), 0.0, 1 / (h * unit))
+    ends = list(zip((0, -1), stretch.order, stretch.speed, stretch.peak, strict=True))
+    for end, order, speed, _ in ends:
+        at = np.array([end])
         if order:
-            link = (-1 if end else 1) * (1 - order / 3) / np.diff(motion.r)[-end]
-            program.add([(at, -link / program.u)], [(at, 1 / program.u)], 0.0)
+            link = (-1 if end else 1) * (1 - order / 3) / np.diff(motion.r)[end]
+            add(at_u[at] - link * at_x[at], 0.0, 1 / unit)
         elif speed is not None:
-            program.add([(at, 1 / speed)], [], 1.0)
-    equalities = program.rows
-    program.add([(points, -1 / program.x)], [], np.full(len(r), -_LOWEST))
-    program.add([], [], 0.0, soft=True)
+            add(at_x[at], speed, 1 / speed)
+    equalities = sum(len(bound) for bound in bounds)
+    add(-at_x, -_LOWEST * x, 1 / x)
+    add(-excess, 0.0)
     between = np.maximum(
         x[:-1] + 0.75 * u[:-1] * h + 0.25 * u[1:] * h, np.minimum(x[:-1], x[1:]) / 4
     )
-    program.add(
-        [(left, -1 / between)],
-        [(left, -0.75 * h / between), (right, -0.25 * h / between)],
-        np.full(len(h), -_LOWEST),
-    )
-    for end, order in enumerate(stretch.order):
+    middle = at_x[:-1] + length @ (0.75 * at_u[:-1] + 0.25 * at_u[1:])
+    add(-middle, -_LOWEST * between, 1 / between)
+    for end, order, _, peak in ends:
         if order:
-            at = np.array([-end % len(r)])
-            top = stretch.peak[end] * (1 - margin[-end])
-            program.add([(at, 1 / program.x[at])], [], top / program.x[at])
+            add(at_x[np.array([end])], peak * (1 - margin[end]), 1 / x[end])
+    fixed = sum(len(bound) for bound in bounds)
     grid = stretch.grid(r)
-    weight = np.zeros(len(r))
     inner = steps[leaves : len(steps) - arrives]
-    weight[:-1] += inner / 2
-    weight[1:] += inner / 2
-    weight[0] += steps[0] * leaves
-    weight[-1] += steps[-1] * arrives
-    weight /= duration
-    inside = margin[leaves : len(margin) - arrives]
-    groups = [rows for z in _LOOK for rows in _rows(task, grid, x, u, z, inside)]
-    left_out = [np.isfinite(rows.bound) for rows in groups]
-    part = -np.inf if everything else _IDLE
-    solution = None
+    inner = np.concatenate([[2 * steps[0] * leaves], inner, [2 * steps[-1] * arrives]])
+    weight = (inner[1:] + inner[:-1]) / (2 * duration)
+    margin = margin[leaves : len(margin) - arrives]
+    parts = [part for z in _LOOK for part in _rows(task, grid, x, u, z, margin)]
+    rows = [np.concatenate([part[k] for part in parts], axis=1) for k in range(4)]
+    names = [name for part in parts for name in part[4]]
+    left_out = np.isfinite(rows[-1])
+    part, named = -np.inf if everything else _IDLE, list[tuple[str, float]]()
     for _ in range(_STEPS):
-        before = program.rows
-        for rows, mask in zip(groups, left_out, strict=True):
-            program.add_used(rows, mask, grid, x, u, part)
-        if part == 1 and program.rows == before:
+        value = rows[0] * x[:-1, None] + rows[1] * u[:-1, None] + rows[2] * u[1:, None]
+        i, row = np.nonzero(left_out & (value > part * rows[3]))
+        if part == 1 and not len(i):
             break
+        left_out[i, row] = False
+        used = zip((at_x, at_u, at_u), (i, i, i + 1), rows, strict=False)
+        terms = [scipy.sparse.diags_array(value[i, row]) @ of[at] for of, at, value in used]
+        add(sum(terms[1:], terms[0]) - excess[0 * i], rows[3][i, row])
+        named += [(names[k], s) for k, s in zip(row, grid.s[i].tolist(), strict=True)]
         # 1/sqrt(y) = 1 - (y - 1)/2 + 3/8 (y - 1)^2 + ...
         solution, dual = _solve(
             np.concatenate([0.75 * weight, np.zeros(len(r) + 1)]),
             np.concatenate([-1.25 * weight, np.zeros(len(r)), [_PENALTY]]),
-            program.matrix(),
-            np.concatenate(program.bounds),
+            scipy.sparse.vstack(blocks, format="csc"),
+            np.concatenate(bounds),
             equalities,
         )
-        culprit = program.culprit(dual)
-        if solution is None:
+        culprit = named[np.abs(dual[fixed:]).argmax()]
+        if np.isnan(solution).any():
             raise infeasible(*culprit)
-        x, u = solution[: len(r)] * program.x, solution[len(r) : -1] * program.u
-        part = 1.0
-    assert solution is not None
-    ends = np.zeros(leaves), np.zeros(arrives)
-    x, u = (np.concatenate([ends[0], values, ends[1]]) for values in (x, u))
+        x, u, part = at_x @ solution, at_u @ solution, 1.0
+    x, u = (np.pad(values, (leaves, arrives)) for values in (x, u))
     return Motion(motion.r, x, u, float(solution[-1]), culprit)
 
 
 def infeasible(name: str, s: float) -> InfeasiblePathError:
-    return InfeasiblePathError(
-        f"the path cannot be driven within the limits: at s = {s:.6g} the {name} stands in the way "
-        "of the speeds given for its ends. Raise that limit, or lower those speeds",
-        constraint=name,
-        s=s,
-    )
+    why = "stands in the way of the speeds given for its ends. Raise that limit, or lower those"
+    return blocked(name, s, f"{why} speeds")
 
 
 def _solve(
-    quadratic: np.ndarray,
-    linear: np.ndarray,
-    matrix: Any,
-    bound: np.ndarray,
-    equalities: int,
-) -> tuple[np.ndarray | None, np.ndarray]:
+    quadratic: np.ndarray, linear: np.ndarray, matrix: Any, bound: np.ndarray, equalities: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Minimize q y^2/2 + l y over M y <= b, the first rows being equations.
 
     These are then fulfilled to rounding, by the smallest change of y.
 
     Returns
     -------
-    solution : array or None
-        None where there is none.
+    solution : array
+        NaN where there is none.
     dual : array
         Multipliers of the rows; where there is no solution the certificate of it.
     """
@@ -313,16 +220,14 @@ def _solve(
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.max_threads = 1
-    cones = [
-        clarabel.ZeroConeT(equalities),
-        clarabel.NonnegativeConeT(matrix.shape[0] - equalities),
-    ]
+    inequalities = matrix.shape[0] - equalities
+    cones = [clarabel.ZeroConeT(equalities), clarabel.NonnegativeConeT(inequalities)]
     hessian = scipy.sparse.diags(quadratic).tocsc()
     result = clarabel.DefaultSolver(hessian, linear, matrix, bound, cones, settings).solve()
     dual = np.array(result.z)
-    if str(result.status) not in ("Solved", "AlmostSolved", "InsufficientProgress"):
-        return None, dual
     y = np.array(result.x)
+    if "Infeasible" in str(result.status) or not np.isfinite(y).all():
+        return np.full_like(y, np.nan), dual
     equations = matrix[:equalities]
     normal = scipy.sparse.linalg.splu((equations @ equations.T).tocsc())
     for _ in range(2):

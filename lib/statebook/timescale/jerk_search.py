@@ -32,10 +32,7 @@ _ATTEMPTS = 5  # to get rid of what is left over a limit
 
 
 def limit_jerk(
-    limits: Sequence[Limit],
-    bounds: tuple[np.ndarray, np.ndarray],
-    free: Profile,
-    tolerance: float,
+    limits: Sequence[Limit], bounds: tuple[np.ndarray, np.ndarray], free: Profile, tolerance: float
 ) -> tuple[JerkProfile, float]:
     """Find the fastest motion that keeps limits on jerk too.
 
@@ -105,11 +102,7 @@ def _order(path: Grid, at_end: bool) -> int:
 
 
 def _rest_piece(
-    task: Task,
-    path: Grid,
-    at_end: bool,
-    order: int,
-    length: float,
+    task: Task, path: Grid, at_end: bool, order: int, length: float
 ) -> tuple[float, float]:
     """Choose the length of the piece next to a rest, and the largest s'^2 at its inner end.
 
@@ -251,44 +244,25 @@ def _profile(task: Task, stretch: Stretch, motion: Motion) -> JerkProfile:
     rest = np.zeros(len(x) - 1, dtype=int)
     rest[0], rest[-1] = stretch.order[0], -stretch.order[1]
     bulge = np.where(rest == 0, np.diff(motion.r) * np.diff(motion.u), 0.0)
-    return JerkProfile(
-        stretch.grid(motion.r),
-        x[:-1],
-        x[1:],
-        2 * bulge / (x[:-1] + x[1:]),
-        np.zeros((2, len(rest), 2)),
-        rest=rest,
-        lower=task.lower,
-        upper=task.upper,
-    )
+    grid, sets = stretch.grid(motion.r), np.zeros((2, len(rest), 2))
+    curvature = 2 * bulge / (x[:-1] + x[1:])
+    return JerkProfile(grid, x[:-1], x[1:], curvature, sets, rest, task.lower, task.upper)
 
 
 def _joined(profiles: list[JerkProfile], free: Profile) -> JerkProfile:
     """Join the profiles of all sections; what is controllable is so without limits on jerk."""
-    sections, sets, first = [], [], 0
-    for section, profile in zip(free.grid.sections, profiles, strict=True):
-        last = first + len(profile.rest)
-        sections.append(section._replace(first=first, last=last))
-        inside = slice(section.first, section.last)
-        points, before = (
-            np.append(0.0, np.cumsum(h)) for h in (profile.grid.h, free.grid.h[inside])
-        )
-        known = free.controllable[:, inside]
-        sides = np.concatenate([known[:, :, 0], known[:, -1:, 1]], axis=1)
-        at = np.stack([np.interp(points, before, side) for side in sides])
-        sets.append(np.stack([at[:, :-1], at[:, 1:]], axis=2))
-        first = last
-    together = {
-        name: np.concatenate([getattr(profile, name) for profile in profiles])
-        for name in ("x0", "x1", "curvature", "rest")
-    }
+    names = "x0", "x1", "curvature", "rest"
+    parts = {name: np.concatenate([getattr(one, name) for one in profiles]) for name in names}
+    cuts = np.cumsum([0, *(len(one.rest) for one in profiles)]).tolist()
+    sections = tuple(
+        section._replace(first=first, last=last)
+        for section, first, last in zip(free.grid.sections, cuts[:-1], cuts[1:], strict=True)
+    )
     piece, offset, h = (
-        np.concatenate([getattr(profile.grid, name) for profile in profiles])
+        np.concatenate([getattr(one.grid, name) for one in profiles])
         for name in ("piece", "offset", "h")
     )
-    return replace(
-        profiles[0],
-        **together,
-        grid=Grid(free.grid.pieces, piece, offset, h, tuple(sections)),
-        controllable=np.concatenate(sets, axis=1),
-    )
+    grid = Grid(free.grid.pieces, piece, offset, h, sections)
+    known, ends = (of.s_at(np.array([0.0, 1.0])).T for of in (free.grid, grid))
+    sets = [np.interp(ends, known.ravel(), side.ravel()) for side in free.controllable]
+    return replace(profiles[0], **parts, grid=grid, controllable=np.stack(sets))

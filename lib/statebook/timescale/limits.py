@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from statebook.errors import InfeasiblePathError
 from statebook.timescale.bounds import read_bounds
 from statebook.timescale.curves import on_grid
 from statebook.timescale.grid import Grid
 from statebook.timescale.path import Path
 
-Terms = tuple[np.ndarray | None, np.ndarray, np.ndarray | None]
+Terms = tuple[Any, np.ndarray, Any]  # a number stands for an array of it
 SIDES = 32  # of the polygon in the half-disc of a norm
 _THIRDS = np.linspace(0, 1, 4)
 DENSE = 5  # points per interval at which torques are looked at
@@ -92,11 +93,25 @@ class Limit(ABC):
         return self.margin
 
     @abstractmethod
-    def terms(self, grid: Grid, z: np.ndarray, speed: np.ndarray) -> Terms:
-        """Return a, b, c at fractions z of the intervals, each (K, N, R) or None for zero.
+    def terms(self, grid: Grid, z: np.ndarray) -> Terms:
+        """Return a, b, c of a s'' + b s'^2 + c at fractions z, each (K, N, R) or 0."""
 
-        speed (N,) is a typical s'^2; only rounding depends on it.
+    def inequalities(self, grid: Grid, z: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return a, b, lower, upper: lower <= a s'' + b s'^2 <= upper at fractions z.
+
+        They are (K, N, R), in units of the bounds; of a norm the rows are those of a polygon.
         """
+        a, b, c = self.terms(grid, z)
+        lower, upper = (bound - c for bound in self.bounds(grid, z))
+        scale: Any = self.scale
+        if self.squared:
+            bound = self.squared_bounds(grid, z, lambda values: values[None])
+            scale = np.maximum(np.broadcast_to(bound, (1, *b.shape))[0], 1e-300)
+            lower, upper = -np.inf, scale
+        elif self.norm:
+            a, b = polygon(a, b)
+            lower = -np.inf
+        return tuple(np.broadcast_to(part / scale, b.shape) for part in (a, b, lower, upper))
 
     def name(self, row: int, side: str) -> str:
         """Name one bound for a message."""
@@ -105,11 +120,8 @@ class Limit(ABC):
 
     def values(self, grid: Grid, z: np.ndarray, u: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Return the quantity for given s'' and s'^2, (K, N) each, as (K, N, R)."""
-        a, b, c = self.terms(grid, z, x.max(axis=0))
-        value = b * x[:, :, None]
-        if a is not None:
-            value += a * u[:, :, None]
-        return value if c is None else value + c
+        a, b, c = self.terms(grid, z)
+        return np.asarray(a * u[:, :, None] + b * x[:, :, None] + c)
 
     def use(self, grid: Grid, z: np.ndarray, u: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Return the part of the bounds that is used, 1 at a bound, as (K, N, R).
@@ -126,6 +138,8 @@ class Limit(ABC):
         """Return the part of the bounds that values (K, N, R) of the quantity use."""
         lowest, highest = self.bounds(grid, z)
         around = (lowest < 0) & (highest > 0)
+        if around.all():
+            return np.maximum(value / highest, value / lowest)
         upper, lower = np.where(around, highest, 1.0), np.where(around, lowest, -1.0)
         beyond = np.maximum(value - highest, lowest - value) / self.scale
         return np.where(around, np.maximum(value / upper, value / lower), 1 + beyond)
@@ -163,43 +177,36 @@ class Limit(ABC):
         bulge : array, shape (N,)
             h^2 ds''/ds for which that row stays at its bound; not finite where none does.
         """
-        a, b, c = self.terms(grid, z, x.max(axis=0))
-        interval = np.arange(x.shape[1])
+        a, b, lower, upper = self.inequalities(grid, z)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            if a is None:
-                bound = np.broadcast_to(self.squared_bounds(grid, z), b.shape)
-                use = np.sqrt(b[1] * x[1, :, None] / bound[1])
-                row = use.argmax(axis=1)
-                wanted = bound[:, interval, row] / b[:, interval, row]
-                return use[interval, row], 2 * (wanted[0] + wanted[2]) - 4 * wanted[1]
-            c = np.zeros_like(b) if c is None else c
-            value = a[1] * u[1, :, None] + b[1] * x[1, :, None] + c[1]
-            lower, upper = (np.broadcast_to(bound, b.shape) for bound in self.bounds(grid, z))
-            over, under = (value - upper[1]) / self.scale, (lower[1] - value) / self.scale
+            value = a[1] * u[1, :, None] + b[1] * x[1, :, None]
+            over, under = value - upper[1], lower[1] - value
             row = np.maximum(over, under).argmax(axis=1)
-            over, under = over[interval, row], under[interval, row]
-            a, b, c, lower, upper = (term[:, interval, row] for term in (a, b, c, lower, upper))
-            bound = np.where(over >= under, upper, lower)
-            wanted = (bound - b * x - c) / a
+            i = np.arange(x.shape[1])
+            a, b, lower, upper = (term[:, i, row] for term in (a, b, lower, upper))
+            over, under = over[i, row], under[i, row]
+            if self.squared:
+                left, middle, right = upper / b
+                return 1 + over, 2 * (left + right) - 4 * middle
+            wanted = (np.where(over >= under, upper, lower) - b * x) / a
             wanted[:, a[0] * a[2] < 1e-3 * a[1] ** 2] = np.nan  # s'' does not decide there
             return 1 + np.maximum(over, under), grid.h * (wanted[2] - wanted[0])
 
     def squared_bounds(
-        self, grid: Grid, z: np.ndarray, transform: Callable[..., Any] = np.asarray
+        self, grid: Grid, z: np.ndarray, transform: Callable[..., Any]
     ) -> np.ndarray:
         """Return the bounds on a square at fractions z of the intervals.
 
-        They broadcast to (K, N, R). Given a transform to Bernstein coefficients they are these.
+        They broadcast to what a transform makes of (K, N, R): Bernstein coefficients, for instance.
         """
-        upper = self.bounds(grid, z)[1] ** 2
-        return upper if upper.ndim == 1 else np.asarray(transform(upper))
+        return np.asarray(transform(self.bounds(grid, z)[1] ** 2))
 
 
 class AccelerationLimit(Limit):
     """Accelerations p' u + p'' x."""
 
-    def terms(self, grid: Grid, z: np.ndarray, speed: np.ndarray) -> Terms:
-        return self.motion(grid, z, 1), self.motion(grid, z, 2), None
+    def terms(self, grid: Grid, z: np.ndarray) -> Terms:
+        return self.motion(grid, z, 1), self.motion(grid, z, 2), 0.0
 
 
 class AccelerationNormLimit(AccelerationLimit):
@@ -211,23 +218,14 @@ class AccelerationNormLimit(AccelerationLimit):
     norm = True
     form = "{kind}"
 
-    def use(self, grid: Grid, z: np.ndarray, u: np.ndarray, x: np.ndarray) -> np.ndarray:
-        size = np.linalg.norm(self.values(grid, z, u, x), axis=2, keepdims=True)
-        return np.asarray(size / self.bounds(grid, z)[1])
+    def values(self, grid: Grid, z: np.ndarray, u: np.ndarray, x: np.ndarray) -> np.ndarray:
+        return np.linalg.norm(super().values(grid, z, u, x), axis=2, keepdims=True)
 
-    def follow(
-        self, grid: Grid, z: np.ndarray, u: np.ndarray, x: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        a, b = (self.motion(grid, z, order) for order in (1, 2))
-        bound = np.broadcast_to(self.bounds(grid, z)[1], (*x.shape, 1))[:, :, 0]
-        b = b * x[:, :, None]
-        square, half, rest = ((v * w).sum(axis=2) for v, w in ((a, a), (a, b), (b, b)))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            root = np.sqrt(half**2 + square * (bound**2 - rest))
-            along = square * u + half
-            wanted = (np.where(along[1] >= 0, root, -root) - half) / square
-            use = self.use(grid, z, u, x)[1, :, 0]
-        return use, grid.h * (wanted[2] - wanted[0])
+
+def blocked(name: str, s: float, why: str) -> InfeasiblePathError:
+    """Return the error that names a limit and a place."""
+    text = f"the path cannot be driven within the limits: at s = {s:.6g} the {name} {why}"
+    return InfeasiblePathError(text, constraint=name, s=s)
 
 
 def polygon(w: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -248,25 +246,21 @@ class VelocityLimit(Limit):
 
     squared = True
 
-    def terms(self, grid: Grid, z: np.ndarray, speed: np.ndarray) -> Terms:
-        return None, self.motion(grid, z, 1) ** 2, None
+    def terms(self, grid: Grid, z: np.ndarray) -> Terms:
+        return 0.0, self.motion(grid, z, 1) ** 2, 0.0
+
+    def values(self, grid: Grid, z: np.ndarray, u: np.ndarray, x: np.ndarray) -> np.ndarray:
+        return self.motion(grid, z, 1) * np.sqrt(x)[:, :, None]
 
     def squared_bounds(
-        self, grid: Grid, z: np.ndarray, transform: Callable[..., Any] = np.asarray
+        self, grid: Grid, z: np.ndarray, transform: Callable[..., Any]
     ) -> np.ndarray:
-        lower, upper = (bound**2 for bound in self.bounds(grid, z))
-        if upper.ndim > 1:
-            lower, upper = transform(lower), transform(upper)
+        lower, upper = (transform(bound**2) for bound in self.bounds(grid, z))
         if np.array_equal(upper, lower):
             return np.asarray(upper)
         slope = transform(self.motion(grid, z, 1))
         forward, backward = (slope >= 0).all(axis=0), (slope <= 0).all(axis=0)
         return np.where(forward, upper, np.where(backward, lower, np.minimum(upper, lower)))
-
-    def use(self, grid: Grid, z: np.ndarray, u: np.ndarray, x: np.ndarray) -> np.ndarray:
-        value = self.motion(grid, z, 1) * np.sqrt(x)[:, :, None]
-        lower, upper = self.bounds(grid, z)
-        return np.maximum(value / upper, value / lower)
 
 
 class SpeedLimit(Limit):
@@ -275,11 +269,11 @@ class SpeedLimit(Limit):
     squared = True
     form = "{kind}"
 
-    def terms(self, grid: Grid, z: np.ndarray, speed: np.ndarray) -> Terms:
-        return None, (self.motion(grid, z, 1) ** 2).sum(axis=2, keepdims=True), None
+    def terms(self, grid: Grid, z: np.ndarray) -> Terms:
+        return 0.0, (self.motion(grid, z, 1) ** 2).sum(axis=2, keepdims=True), 0.0
 
-    def use(self, grid: Grid, z: np.ndarray, u: np.ndarray, x: np.ndarray) -> np.ndarray:
-        return np.sqrt(self.values(grid, z, u, x)) / self.bounds(grid, z)[1]
+    def values(self, grid: Grid, z: np.ndarray, u: np.ndarray, x: np.ndarray) -> np.ndarray:
+        return np.asarray(np.sqrt(super().values(grid, z, u, x)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -330,7 +324,7 @@ class TorqueLimit(Limit):
         values = np.moveaxis(self.dynamics(q, v, a).reshape(-1, *p.shape[:2]), 0, -1)
         return self.part_used(values, grid, z)
 
-    def terms(self, grid: Grid, z: np.ndarray, speed: np.ndarray) -> Terms:
+    def terms(self, grid: Grid, z: np.ndarray) -> Terms:
         a, b, c, k, d = self.parts(grid, z)
         if self.sliding:
             c = c + k

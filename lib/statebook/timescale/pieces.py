@@ -55,8 +55,29 @@ def smooth_pieces(path: Path, cuts: np.ndarray) -> Pieces:
     end = np.append(origin[1:], knots[-1])
     coefficients, source, origin, end = _of_low_degree(path.curve.c, knots, source, origin, end)
     begin, width = origin - knots[source], end - origin
-    coefficients, largest, moving = _without_rounding(coefficients, width)
-    return _joined(coefficients, width, source, begin, origin, largest, moving)
+    c, largest, moving = _without_rounding(coefficients, width)
+    count = len(width)
+    piece, unit = np.arange(count), np.where(largest > 0, largest, 1.0)
+    ends = np.stack([np.zeros(count), width])
+    left, right = horner(c, piece, ends, 1) / unit
+    powers = np.arange(len(c))[::-1, None, None]
+    size = (powers * np.abs(c) * width[:, None] ** np.maximum(powers - 1, 0)).sum(axis=0) / unit
+    size = size.max(axis=1)
+    rest = np.stack([np.abs(v).max(axis=1) for v in (left, right)]) <= _REST * size
+    before, after = right[:-1], left[1:]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.sum(before * after, axis=1) / np.sum(before * before, axis=1)
+        off = np.abs(after - ratio[:, None] * before).max(axis=1)
+        slack = _CORNER * np.abs(after).max(axis=1) + 1e-15 * (size[1:] + ratio * size[:-1])
+        smooth = (ratio > 0) & (off <= slack) & moving[1:] & moving[:-1]
+    cut = source[1:] == source[:-1]  # within a polynomial, whatever its rounding
+    ratio[cut] = 1.0
+    smooth |= cut & moving[1:] & moving[:-1]
+    smooth &= ~rest[1, :-1] & ~rest[0, 1:]
+    ratio[~smooth | (np.abs(ratio - 1) <= _CORNER)] = 1.0
+    stretch = _running_product(ratio, smooth)
+    c, width = c / stretch[:, None] ** powers, width * stretch
+    return Pieces(c, width, source, begin, origin, stretch, moving, rest, smooth)
 
 
 def _of_low_degree(
@@ -109,49 +130,6 @@ def _without_rounding(
     ):
         c = c[1:]  # a spline through points on a line, for instance
     return c, largest, ~still.all(axis=1)
-
-
-def _joined(
-    c: np.ndarray,
-    width: np.ndarray,
-    source: np.ndarray,
-    begin: np.ndarray,
-    origin: np.ndarray,
-    largest: np.ndarray,
-    moving: np.ndarray,
-) -> Pieces:
-    """Find where pieces follow each other smoothly, and stretch them so that p' does too."""
-    count = len(width)
-    piece, unit = np.arange(count), np.where(largest > 0, largest, 1.0)
-    ends = np.stack([np.zeros(count), width])
-    left, right = horner(c, piece, ends, 1) / unit
-    powers = np.arange(len(c))[::-1, None, None]
-    size = (powers * np.abs(c) * width[:, None] ** np.maximum(powers - 1, 0)).sum(axis=0) / unit
-    size = size.max(axis=1)
-    rest = np.stack([np.abs(v).max(axis=1) for v in (left, right)]) <= _REST * size
-    before, after = right[:-1], left[1:]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.sum(before * after, axis=1) / np.sum(before * before, axis=1)
-        off = np.abs(after - ratio[:, None] * before).max(axis=1)
-        slack = _CORNER * np.abs(after).max(axis=1) + 1e-15 * (size[1:] + ratio * size[:-1])
-        smooth = (ratio > 0) & (off <= slack) & moving[1:] & moving[:-1]
-    cut = source[1:] == source[:-1]  # within a polynomial, whatever its rounding
-    ratio[cut] = 1.0
-    smooth |= cut & moving[1:] & moving[:-1]
-    smooth &= ~rest[1, :-1] & ~rest[0, 1:]
-    ratio[~smooth | (np.abs(ratio - 1) <= _CORNER)] = 1.0
-    stretch = _running_product(ratio, smooth)
-    return Pieces(
-        coefficients=c / stretch[:, None] ** powers,
-        width=width * stretch,
-        source=source,
-        begin=begin,
-        origin=origin,
-        stretch=stretch,
-        moving=moving,
-        rest=rest,
-        smooth=smooth,
-    )
 
 
 def _running_product(ratio: np.ndarray, smooth: np.ndarray) -> np.ndarray:

@@ -261,10 +261,10 @@ def audit(profile: Profile, limits: Sequence[Limit]) -> Audit:
             # Limits are reached again and again: name the first time, whatever the rounding.
             first = []
             for sampled, highest, places, index, z in found:
-                reached = sampled[:, :, row] >= use - _SAME * abs(use)
+                reached = sampled[:, :, row].T >= use - _SAME * abs(use)
                 if reached.any():
-                    i = int(reached.any(axis=0).argmax())
-                    place = int(index[i]), float(z[reached[:, i].argmax()])
+                    i, k = np.unravel_index(reached.argmax(), reached.shape)
+                    place = int(index[i]), float(z[k])
                 elif highest[row] == use:
                     place = int(index[places[row][0]]), places[row][1]
                 else:
@@ -280,19 +280,19 @@ def _maxima(
 ) -> tuple[np.ndarray, list[tuple[int, float]]]:
     """Return the largest use of each row, and the interval and the fraction of it where it is."""
     transform, z = partial(bernstein.along, bernstein.from_values(len(y) - 1)), warp(y)
-    values = limit.values(profile.grid, z, profile.u(z), profile.x(z))
+    a, b, _ = limit.terms(profile.grid, z)
+    values = a * profile.u(z)[:, :, None] + b * profile.x(z)[:, :, None]
     lower, upper = limit.bounds(profile.grid, z)
     if limit.norm:
         values = (values**2).sum(axis=2, keepdims=True)
     coefficients = transform(values)
-    sides: list[tuple[np.ndarray, np.ndarray, np.ndarray | None]]
+    power = 2 if limit.squared or limit.norm else 1
+    sides: list[Any] = [(coefficients, upper**power, None), (-coefficients, -lower, None)][
+        : 3 - power
+    ]
     if isinstance(limit, VelocityLimit) and not np.array_equal(upper, -lower):
         slope = transform(limit.motion(profile.grid, z, 1))
         sides = [(coefficients, upper**2, slope), (coefficients, lower**2, -slope)]
-    elif limit.squared or limit.norm:
-        sides = [(coefficients, upper**2, None)]
-    else:
-        sides = [(coefficients, upper, None), (-coefficients, -lower, None)]
     found = [
         bernstein.maxima(part / bound, sign)
         if bound.ndim == 1
@@ -304,4 +304,4 @@ def _maxima(
     highest = np.maximum(use[side, rows], 0.0)
     fractions = warp(fraction[side, rows]).tolist()
     places = list(zip(interval[side, rows].tolist(), fractions, strict=True))
-    return (np.sqrt(highest) if limit.squared or limit.norm else highest), places
+    return highest ** (1 / power), places

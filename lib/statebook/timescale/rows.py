@@ -49,50 +49,55 @@ def stage_rows(
     Those that hold for every s'^2 below top, (2, N) at the ends of the intervals, are left out;
     for want of another in their place they say 0 <= 1.
     """
-    parts: list[Rows] = []
+    parts = []
     for first in range(0, len(grid.h), _BLOCK):
         block = slice(first, first + _BLOCK)
         args = curvature[block], scale[block], top[:, block] / scale[block]
-        parts.append(_block_rows(limits, grid.part(block), *args))
-    columns = max(part.w.shape[1] for part in parts)
-    padded = [
-        [
-            np.pad(m, [(0, 0), (0, columns - m.shape[1])], constant_values=value)
-            for m, value in ((part.w, 0.0), (part.x, 0.0), (part.c, -1.0), (part.which, 0))
-        ]
-        for part in parts
-    ]
-    w, x, c, which = (np.concatenate(m) for m in zip(*padded, strict=True))
-    return Rows(np.concatenate([part.step for part in parts]), w, x, c, which, parts[0].labels)
+        part, labels = _block_rows(limits, grid.part(block), *args)
+        parts.append(part)
+    width = max(part[0].shape[1] for part in parts)
+    w, x, c, idle, which = (
+        np.concatenate(
+            [np.pad(m, [(0, 0), (0, width - m.shape[1])], constant_values=none) for m in blocks]
+        )
+        for blocks, none in zip(zip(*parts, strict=True), (0, 0, -1, True, 0), strict=True)
+    )
+    # Balance both unknowns, by powers of two, for the solver adds steps up and takes differences
+    # again; and scale rows to unit gradient, as its tolerance needs.
+    c = np.maximum(c, -1e100)  # an infinite bound
+    with np.errstate(divide="ignore", invalid="ignore"):
+        reach = np.where(idle | (w == 0), np.inf, (np.abs(x) + np.abs(c)) / np.abs(w)).min(axis=1)
+        step = np.exp2(np.clip(np.round(np.log2(reach)), -20, 0))
+    w *= step[:, None]
+    size = np.hypot(w, x)
+    factor = np.where(idle, 0.0, 1 / np.where(idle | (size == 0), 1.0, size))
+    return Rows(step, w * factor, x * factor, np.where(idle, -1.0, c * factor), which, labels)
 
 
 def _block_rows(
     limits: Sequence[Limit], grid: Grid, curvature: np.ndarray, scale: np.ndarray, top: np.ndarray
-) -> Rows:
+) -> tuple[tuple[np.ndarray, ...], tuple[tuple[Limit, int, str], ...]]:
+    """Return w, x, c, whether they are idle and which they are, (N, M), and all labels."""
     ws, xs, cs, labels = [], [], [], []
     for limit in limits:
         degree = limit.degree(grid)
         z = bernstein.nodes(degree)
-        to_bernstein = bernstein.from_values(degree)
-        a, b, c = limit.terms(grid, z, scale)
+        transform = partial(_transformed, bernstein.from_values(degree))
+        a, b, c = limit.terms(grid, z)
         fraction = z[:, None]
         rho = curvature / 2
         # x(z) = scale (x x̂ + w ŵ) and s'' = scale (dx x̂ + dw ŵ)/(2 h), coefficients by z:
         w = b * (scale * (fraction - rho * fraction * (1 - fraction)))[:, :, None]
         x = b * (scale * (1 - 2 * rho * fraction * (1 - fraction)))[:, :, None]
-        if a is not None:
-            rate = scale / (2 * grid.h)
-            w += a * (rate * (1 - rho * (1 - 2 * fraction)))[:, :, None]
-            x += a * (rate * (-2 * rho * (1 - 2 * fraction)))[:, :, None]
-        w, x = bernstein.along(to_bernstein, w), bernstein.along(to_bernstein, x)
-        transform = partial(bernstein.along, to_bernstein)
+        rate = scale / (2 * grid.h)
+        w += a * (rate * (1 - rho * (1 - 2 * fraction)))[:, :, None]
+        x += a * (rate * (-2 * rho * (1 - 2 * fraction)))[:, :, None]
+        w, x = transform(w), transform(x)
         labelled = list(range(w.shape[2]))
         if limit.squared:
             bounds = [("upper", 1.0, limit.squared_bounds(grid, z, transform))]
         else:
-            lower, upper = limit.bounds(grid, z)
-            if upper.ndim > 1:
-                lower, upper = transform(lower), transform(upper)
+            lower, upper = map(transform, limit.bounds(grid, z))
             bounds = [("upper", 1.0, upper), ("lower", -1.0, lower)]
         if limit.norm:
             w, x = polygon(w, x)
@@ -101,11 +106,10 @@ def _block_rows(
         room = limit.room(grid)
         for side, sign, bound in bounds:
             size = limit.scale
-            if c is None:
+            if np.ndim(c) == 0:
                 size = np.abs(bound).max(axis=0) if bound.ndim == 3 else np.abs(bound)
-            level = 0.0 if c is None else transform(c)
             with np.errstate(invalid="ignore"):
-                constant = sign * (level - bound) / size
+                constant = sign * (transform(c) - bound) / size
             constant = np.where(np.isnan(constant), -1.0, constant) + room
             ws.append(_by_interval(w * (sign / size)))
             xs.append(_by_interval(x * (sign / size)))
@@ -117,34 +121,14 @@ def _block_rows(
     count = int((~idle).sum(axis=1).max(initial=1))
     which = np.argsort(idle, axis=1, kind="stable")[:, :count]
     w, x, c, idle = (np.take_along_axis(m, which, 1) for m in (w, x, c, idle))
-    return _normalized(w, x, c, idle, which, labels)
+    return (w, x, c, idle, which), tuple(labels)
+
+
+def _transformed(matrix: np.ndarray, values: Any) -> Any:
+    """Return Bernstein coefficients of values (K, N, R); what is constant stays as it is."""
+    return bernstein.along(matrix, values) if np.ndim(values) == 3 else values
 
 
 def _by_interval(values: np.ndarray) -> np.ndarray:
     """Turn (K, N, R) into (N, K R)."""
     return values.transpose(1, 0, 2).reshape(values.shape[1], -1)
-
-
-def _normalized(
-    w: np.ndarray,
-    x: np.ndarray,
-    c: np.ndarray,
-    idle: np.ndarray,
-    which: np.ndarray,
-    labels: list[Any],
-) -> Rows:
-    """Balance both unknowns, and scale rows to unit gradient, as the solver's tolerance needs.
-
-    Steps are powers of two, for the solver adds them up and takes differences again.
-    """
-    c = np.maximum(c, -1e100)  # an infinite bound
-    with np.errstate(divide="ignore", invalid="ignore"):
-        reach = np.where(idle | (w == 0), np.inf, (np.abs(x) + np.abs(c)) / np.abs(w)).min(axis=1)
-        step = np.exp2(np.clip(np.round(np.log2(reach)), -20, 0))
-    w = w * step[:, None]
-    size = np.hypot(w, x)
-    factor = 1 / np.where(idle | (size == 0), 1.0, size)
-    factor[idle] = 0.0
-    c = c * factor
-    c[idle] = -1.0
-    return Rows(step, w * factor, x * factor, c, which, tuple(labels))

@@ -20,7 +20,7 @@ from statebook.timescale.friction import at_rest, rests, settle
 from statebook.timescale.grid import Grid, lay_grid
 from statebook.timescale.jerk import read_jerk, stop_at_bends
 from statebook.timescale.jerk_search import limit_jerk
-from statebook.timescale.limits import Limit, TorqueLimit, kinematic_limits
+from statebook.timescale.limits import Limit, TorqueLimit, blocked, kinematic_limits
 from statebook.timescale.path import Path
 from statebook.timescale.profile import Profile, audit
 from statebook.timescale.rows import MARGIN
@@ -203,38 +203,30 @@ def time_scale(
 
 def _without_zeros(limit: Limit, grid: Grid) -> Limit:
     """Refuse bounds of 0 on what must not be 0; elsewhere put rounding in their place."""
-    zero = np.stack([limit.lower == 0, limit.upper == 0])
-    if limit.kind not in ("velocity", "acceleration") or not zero.any():
+    zero = {"upper": limit.upper == 0, "lower": limit.lower == 0}
+    if limit.kind not in ("velocity", "acceleration") or not np.any(list(zero.values())):
         return limit
-    left, right = (slope / np.maximum(np.abs(slope).max(), 1e-300) for slope in grid.path(_ENDS, 1))
-    moves: list[tuple[np.ndarray, Sequence[int]]]
-    moves = [(left, range(len(left))), (right, range(len(right)))]
+    slopes = grid.path(_ENDS, 1)
+    left, right = slopes / np.maximum(np.abs(slopes).max(axis=(1, 2), keepdims=True), 1e-300)
+    first = last = np.arange(len(left))
     if limit.kind == "acceleration":  # only at the ends of sections must its sign be that of p'
-        moves = [
-            (left, [part.first for part in grid.sections if part.start == 0]),
-            (-right, [part.last - 1 for part in grid.sections if part.end == 0]),
-        ]
-    for slope, intervals in moves:
-        for side, sign, none in (("upper", 1, zero[1]), ("lower", -1, zero[0])):
-            bad = [
-                (i, int(j))
-                for i in intervals
-                for j in np.flatnonzero(none & (sign * slope[i] > _SMALL))
-            ]
-            if bad:
-                i, j = bad[0]
-                s = float(grid.s[i])
-                raise InfeasiblePathError(
-                    f"the path cannot be driven within the limits: the {limit.name(j, side)} is 0, "
-                    f"and near s = {s:.6g} the joint must go beyond it",
-                    constraint=limit.name(j, side),
-                    s=s,
-                )
+        first = np.array([part.first for part in grid.sections if part.start == 0], dtype=int)
+        last = np.array([part.last - 1 for part in grid.sections if part.end == 0], dtype=int)
+        right = -right
+    moves, at = np.concatenate([left[first], right[last]]), grid.s[np.append(first, last)]
+    for side, sign in (("upper", 1), ("lower", -1)):
+        for i, j in np.argwhere(zero[side] & (sign * moves > _SMALL))[:1].tolist():
+            raise InfeasiblePathError(
+                f"the path cannot be driven within the limits: the {limit.name(j, side)} is 0, "
+                f"and near s = {at[i]:.6g} the joint must go beyond it",
+                constraint=limit.name(j, side),
+                s=float(at[i]),
+            )
     tiny = _SMALL * limit.scale
     return replace(
         limit,
-        lower=np.where(zero[0], -tiny, limit.lower),
-        upper=np.where(zero[1], tiny, limit.upper),
+        lower=np.where(zero["lower"], -tiny, limit.lower),
+        upper=np.where(zero["upper"], tiny, limit.upper),
     )
 
 
@@ -247,12 +239,9 @@ def _check_place(grid: Grid, limits: Sequence[Limit], s: float, cause: str, spee
             use = limit.use(grid, middle, np.zeros_like(x), x)[0, 0]
             row = int(use.argmax())
             if use[row] > 1 + MARGIN:
-                if limit.squared:
-                    above = limit.motion(grid, middle, 1)[0, 0, row] > 0
-                else:
-                    lower, upper = (np.ravel(bound)[row] for bound in limit.bounds(grid, middle))
-                    value = limit.values(grid, middle, np.zeros_like(x), x)[0, 0, row]
-                    above = value - upper > lower - value
+                lower, upper = (np.ravel(bound)[row] for bound in limit.bounds(grid, middle))
+                value = limit.values(grid, middle, np.zeros_like(x), x)[0, 0, row]
+                above = value - upper > lower - value
                 name = limit.name(row, "upper" if above else "lower")
                 raise InfeasiblePathError(
                     f"{cause} must keep the limits: it uses {use[row]:.4g} times the {name} at "
@@ -299,32 +288,24 @@ def explain(stuck: StuckError) -> InfeasiblePathError:
     At the interval that has no solution, the violation of all inequalities is made as small as it
     can be; the one with the largest multiplier is named.
     """
-    grid, rows, i = stuck.grid, stuck.rows, stuck.interval
-
-    w, x, c = rows.w[i], rows.x[i], rows.c[i]
+    rows, i = stuck.rows, stuck.interval
     low, high = stuck.following
-    count = len(w)
-    step = rows.step[i]
-    ahead = [[step, 1, -1], [-step, -1, -1]]
-    matrix = np.vstack([np.column_stack([w, x, -np.ones(count)]), ahead])
-    bound = np.concatenate([-c, [high, -low]])
+    count, step = rows.w.shape[1], rows.step[i]
+    every = np.column_stack([rows.w[i], rows.x[i], -np.ones(count)])
+    matrix = np.vstack([every, [[step, 1, -1], [-step, -1, -1]]])
+    bound = np.concatenate([-rows.c[i], [high, -low]])
     fixed = (stuck.x, stuck.x) if stuck.x is not None else (0, None)
     result = scipy.optimize.linprog(
         [0, 0, 1], A_ub=matrix, b_ub=bound, bounds=[(None, None), fixed, (None, None)]
     )
-    weights = -np.asarray(result.ineqlin.marginals)[:count]
-    worst = int(np.argmax(weights))
+    worst = int(np.argmin(result.ineqlin.marginals[:count]))
     limit, row, side = rows.labels[rows.which[i, worst]]
-    name = limit.name(row, side)
-    s = float(grid.s[i])
-    advice = "Raise that limit, or change the path or the speeds at its ends"
+    reason = "there no motion that comes from the start can go on"
     if stuck.x is None:
         reason = "no speed there lets the rest of the path be driven"
-    else:
-        reason = "there no motion that comes from the start can go on"
-    return InfeasiblePathError(
-        f"the path cannot be driven within the limits: at s = {s:.6g} the {name} stands in the "
-        f"way; {reason}. {advice}",
-        constraint=name,
-        s=s,
+    return blocked(
+        limit.name(row, side),
+        float(stuck.grid.s[i]),
+        f"stands in the way; {reason}. Raise that limit, or change the path or the speeds at its "
+        "ends",
     )

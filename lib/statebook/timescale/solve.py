@@ -47,11 +47,24 @@ def refine(
     parts[_bottlenecks(profile)] = _PARTS
     grid, parent, left, right = profile.grid.split(parts)
     z = left + np.multiply.outer(_ENDS, right - left)
-    bulge, chord = profile.bulge[parent], (profile.x1 - profile.x0)[parent]
-    x = np.maximum(profile.x0[parent] + chord * z - bulge * z * (1 - z), 0.0)
-    u = (chord - bulge * (1 - 2 * z)) / (2 * profile.grid.h[parent])
+    bend, chord = profile.bulge[parent], (profile.x1 - profile.x0)[parent]
+    x = np.maximum(profile.x0[parent] + chord * z - bend * z * (1 - z), 0.0)
+    u = (chord - bend * (1 - 2 * z)) / (2 * profile.grid.h[parent])
     mean = np.maximum((x[0] + x[2]) / 2, 1e-300)
-    return grid, np.clip(_bulge(limits, profile, grid, parent, u, x) / mean, -1.0, 1.0)
+    # The bend h^2 ds''/ds follows the limit nearest to its bound, kept between those which the
+    # neighbours on both sides suggest, or 0. Without a limit to follow it is the smaller of these,
+    # 0 if they disagree in sign: s'' jumps there.
+    before, after = (slope[parent] * grid.h**2 for slope in _slopes(profile))
+    smaller = np.where(np.abs(before) < np.abs(after), before, after)
+    bulge = np.where(before * after > 0, smaller, 0.0)
+    low, high = np.minimum(np.minimum(before, after), 0), np.maximum(np.maximum(before, after), 0)
+    best = np.full(len(bulge), _ACTIVE)
+    for limit in limits:
+        use, wanted = limit.follow(grid, _ENDS, u, x)
+        better = (use > best) & np.isfinite(wanted)
+        bulge = np.where(better, np.clip(wanted, low, high), bulge)
+        best = np.where(better, use, best)
+    return grid, np.clip(bulge / mean, -1.0, 1.0)
 
 
 def _bottlenecks(profile: Profile) -> np.ndarray:
@@ -66,32 +79,6 @@ def _bottlenecks(profile: Profile) -> np.ndarray:
     beside[1:] |= leaves[:-1]
     beside[:-1] |= leaves[1:]
     return beside
-
-
-def _bulge(
-    limits: Sequence[Limit],
-    profile: Profile,
-    grid: Grid,
-    parent: np.ndarray,
-    u: np.ndarray,
-    x: np.ndarray,
-) -> np.ndarray:
-    """Return the bend of the profile, h^2 ds''/ds, that follows the limit nearest to its bound.
-
-    It is kept between those which the neighbours on both sides suggest, or 0. Without a limit to
-    follow it is the smaller of these, 0 if they disagree in sign: s'' jumps there.
-    """
-    before, after = (slope[parent] * grid.h**2 for slope in _slopes(profile))
-    smaller = np.where(np.abs(before) < np.abs(after), before, after)
-    bulge = np.where(before * after > 0, smaller, 0.0)
-    low, high = np.minimum(np.minimum(before, after), 0), np.maximum(np.maximum(before, after), 0)
-    best = np.full(len(bulge), _ACTIVE)
-    for limit in limits:
-        use, wanted = limit.follow(grid, _ENDS, u, x)
-        better = (use > best) & np.isfinite(wanted)
-        bulge = np.where(better, np.clip(wanted, low, high), bulge)
-        best = np.where(better, use, best)
-    return bulge
 
 
 def _slopes(profile: Profile) -> tuple[np.ndarray, np.ndarray]:
@@ -198,12 +185,10 @@ def _require_bounded(limits: Sequence[Limit], grid: Grid) -> None:
     z = np.array([0.25, 0.75])
     bounded = np.zeros((2, len(grid.h)), dtype=bool)
     for limit in limits:
-        a, _, _ = limit.terms(grid, z, np.ones(len(grid.h)))
-        if a is not None:
-            ends = (limit.lower, limit.upper)
-            lower, upper = (np.isfinite(bound) | limit.norm for bound in ends)
-            for i, (up, down) in enumerate(((upper, lower), (lower, upper))):
-                bounded[i] |= (np.where(a > 0, up, down) & (a != 0)).any(axis=(0, 2))
+        a, _, lower, upper = limit.inequalities(grid, z)
+        up, down = np.isfinite(upper), np.isfinite(lower) | limit.norm
+        for i, (ahead, back) in enumerate(((up, down), (down, up))):
+            bounded[i] |= (np.where(a > 0, ahead, back) & (a != 0)).any(axis=(0, 2))
     if not bounded.all():
         raise ValueError(
             "the limits leave the acceleration along the path unbounded at s = "

@@ -11,7 +11,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Sequence
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -103,120 +103,103 @@ def fastest_profile(
         No motion satisfies the limits.
     """
     rows = stage_rows(limits, grid, curvature, scale, top)
-    solve = _stage_solver(rows)
     floors = slowest or any(limit.kind == "torque" for limit in limits)
+    stages = _Stages(_stage_solver(rows), scale.tolist(), rows.step.tolist(), top.tolist())
     sets = np.zeros((2, len(scale), 2))
     x = np.zeros((2, len(scale)))
-    units, steps, tops = scale.tolist(), rows.step.tolist(), top.tolist()
     for section in grid.sections:
         try:
-            low, high = _controllable(solve, section, units, steps, tops, floors, margin)
-            _drive(solve, section, units, steps, low, high, x, slowest)
+            found = stages.controllable(section, floors, margin)
+            stages.drive(section, *found, x, slowest)
         except StuckError as stuck:
             stuck.grid, stuck.rows = grid, rows
             raise
-        inside = slice(section.first, section.last)
-        sets[0, inside] = np.stack([low[:-1], low[1:]], axis=1)
-        sets[1, inside] = np.stack([high[:-1], high[1:]], axis=1)
+        for side, values in zip(sets, found, strict=True):
+            side[section.first : section.last] = np.stack([values[:-1], values[1:]], axis=1)
     return Profile(grid, x[0], x[1], curvature, sets)
 
 
-def _controllable(
-    solve: Callable[..., Any],
-    section: Section,
-    units: list[float],
-    steps: list[float],
-    tops: list[list[float]],
-    floors: bool,
-    margin: float,
-) -> tuple[list[float], list[float]]:
-    """Return the lowest and highest s'^2 at each gridpoint that the end allows.
+class _Stages(NamedTuple):
+    """The programs of all intervals; scale, step and the bounds on s'^2 at the ends of each."""
 
-    Loop invariant: from every x in [low[i], high[i]] some w leads into [low[i+1], high[i+1]].
-    Without torque limits a slower motion is always allowed: low stays 0.
-    """
-    count = section.last - section.first
-    low, high = [0.0] * (count + 1), [0.0] * (count + 1)
-    if section.end is None:
-        stage = section.last - 1
-        w, x = solve(stage, None, -np.array([steps[stage], 1.0]), 0.0, _NAN, 0.0, FREE)
-        if w != w:
-            raise StuckError(stage, None, (0.0, FREE))
-        high[count] = min((x + steps[stage] * w) * units[stage] * (1 - margin), tops[1][stage])
-    else:
-        high[count] = section.end
-        low[count] = section.end if floors else 0.0
-    for i in range(count - 1, -1, -1):
-        stage = section.first + i
-        unit = units[stage]
-        following = (low[i + 1] / unit, high[i + 1] / unit)
-        top = solve(stage, None, _FASTEST_LEFT, 0.0, _NAN, *following)[1]
-        if not top >= 0:
-            raise StuckError(stage, None, following)
-        high[i] = min(top * unit * (1 - margin), tops[0][stage])
-        if floors:
-            bottom = solve(stage, None, _SLOWEST_LEFT, 0.0, _NAN, *following)[1]
-            if not bottom <= top:  # rounding, where both are the same
-                bottom = top
-            low[i] = min(bottom * unit * (1 + margin), high[i]) if bottom > _STANDSTILL else 0.0
-    return low, high
+    solve: Callable[..., Any]
+    units: list[float]
+    steps: list[float]
+    tops: list[list[float]]
 
+    def controllable(
+        self, section: Section, floors: bool, margin: float
+    ) -> tuple[list[float], list[float]]:
+        """Return the lowest and highest s'^2 at each gridpoint that the end allows.
 
-def _drive(
-    solve: Callable[..., Any],
-    section: Section,
-    units: list[float],
-    steps: list[float],
-    low: list[float],
-    high: list[float],
-    x: np.ndarray,
-    slowest: bool,
-) -> None:
-    """Fill in the fastest motion through a section: from each x the largest next one.
+        Loop invariant: from every x in [low[i], high[i]] some w leads into [low[i+1], high[i+1]].
+        Without torque limits a slower motion is always allowed: low stays 0.
+        """
+        last = section.last - 1
+        top = section.end
+        if top is None:
+            w, x = self.solve(last, None, -np.array([self.steps[last], 1.0]), 0.0, _NAN, 0.0, FREE)
+            if w != w:
+                raise StuckError(last, None, (0.0, FREE))
+            top = (x + self.steps[last] * w) * self.units[last] * (1 - margin)
+            top = min(top, self.tops[1][last])
+        lows, highs = [section.end if floors and section.end else 0.0], [top]
+        solve = self.solve
+        for i in range(last, section.first - 1, -1):
+            unit = self.units[i]
+            following = lows[-1] / unit, highs[-1] / unit
+            top = solve(i, None, _FASTEST_LEFT, 0.0, _NAN, *following)[1]
+            if not top >= 0:
+                raise StuckError(i, None, following)
+            highs.append(min(top * unit * (1 - margin), self.tops[0][i]))
+            low = 0.0
+            if floors:
+                bottom = solve(i, None, _SLOWEST_LEFT, 0.0, _NAN, *following)[1]
+                bottom = bottom if bottom <= top else top  # rounding, where both are the same
+                if bottom > _STANDSTILL:
+                    low = min(bottom * unit * (1 + margin), highs[-1])
+            lows.append(low)
+        return lows[::-1], highs[::-1]
 
-    The slowest is filled in the same way, with the smallest.
-    """
-    direction = -_FASTEST_RIGHT if slowest else _FASTEST_RIGHT
-    speed = (low if slowest else high)[0] if section.start is None else section.start
-    too_slow = speed < low[0] * (1 - _SAME)
-    if too_slow or speed > high[0] * (1 + _SAME):
-        raise _obstacle(solve, section, units, steps, speed, too_slow)
-    speed = min(max(speed, low[0]), high[0])
-    for i in range(section.last - section.first):
-        stage = section.first + i
-        unit = units[stage]
-        here = speed / unit
-        w = solve(stage, None, direction, here, here, low[i + 1] / unit, high[i + 1] / unit)[0]
-        if w != w:
-            raise StuckError(stage, here, (low[i + 1] / unit, high[i + 1] / unit))
-        x[0, stage] = speed
-        speed = min(max(speed + w * steps[stage] * unit, low[i + 1]), high[i + 1])
-        x[1, stage] = speed
-    if section.end is not None and speed < section.end * (1 - _SAME):
-        stage = section.last - 1
-        raise StuckError(stage, x[0, stage] / units[stage], (section.end / units[stage],) * 2)
+    def drive(
+        self, section: Section, low: list[float], high: list[float], x: np.ndarray, slowest: bool
+    ) -> None:
+        """Fill in the fastest motion through a section: from each x the largest next one.
 
+        The slowest is filled in the same way, with the smallest.
+        """
+        direction = -_FASTEST_RIGHT if slowest else _FASTEST_RIGHT
+        speed = (low if slowest else high)[0] if section.start is None else section.start
+        too_slow = speed < low[0] * (1 - _SAME)
+        if too_slow or speed > high[0] * (1 + _SAME):
+            raise self.obstacle(section, speed, too_slow)
+        speed = min(max(speed, low[0]), high[0])
+        ranges = zip(low[1:], high[1:], strict=True)
+        for i, (least, most) in enumerate(ranges, section.first):
+            unit = self.units[i]
+            here, following = speed / unit, (least / unit, most / unit)
+            w = self.solve(i, None, direction, here, here, *following)[0]
+            if w != w:
+                raise StuckError(i, here, following)
+            x[0, i] = speed
+            speed = min(max(speed + w * self.steps[i] * unit, least), most)
+            x[1, i] = speed
+        if section.end is not None and speed < section.end * (1 - _SAME):
+            raise StuckError(i, here, (section.end / unit, section.end / unit))
 
-def _obstacle(
-    solve: Callable[..., Any],
-    section: Section,
-    units: list[float],
-    steps: list[float],
-    speed: float,
-    too_slow: bool,
-) -> StuckError:
-    """Find the place where a start that is too slow or too fast becomes impossible.
+    def obstacle(self, section: Section, speed: float, too_slow: bool) -> StuckError:
+        """Find the place where a start that is too slow or too fast becomes impossible.
 
-    A motion that tries to be fast, or slow, with no regard for what follows gets stuck there.
-    """
-    direction = _FASTEST_RIGHT if too_slow else -_FASTEST_RIGHT
-    for stage in range(section.first, section.last):
-        unit = units[stage]
-        here, following = speed / unit, (0.0, FREE)
-        if stage == section.last - 1 and section.end is not None:
-            following = (section.end / unit, section.end / unit)
-        w = solve(stage, None, direction, here, here, *following)[0]
-        if w != w:
-            break
-        speed = max(speed + w * steps[stage] * unit, 0.0)
-    return StuckError(stage, here, following)
+        A motion that tries to be fast, or slow, with no regard for what follows gets stuck there.
+        """
+        direction = _FASTEST_RIGHT if too_slow else -_FASTEST_RIGHT
+        for i in range(section.first, section.last):
+            unit = self.units[i]
+            here, following = speed / unit, (0.0, FREE)
+            if i == section.last - 1 and section.end is not None:
+                following = (section.end / unit, section.end / unit)
+            w = self.solve(i, None, direction, here, here, *following)[0]
+            if w != w:
+                break
+            speed = max(speed + w * self.steps[i] * unit, 0.0)
+        return StuckError(i, here, following)

@@ -87,11 +87,8 @@ class TimedPath:
         """
         s = _validate.real_array("s", s)
         self.path(s)  # refuses what is not on the path
-        start, end = self._profile.grid.s_at(np.array([0.0, 1.0]))
-        places = np.atleast_1d(s)
-        i = np.maximum(np.searchsorted(start, places, side="right") - 1, 0)
-        z = np.clip((places - start[i]) / (end[i] - start[i]), 0.0, 1.0)
-        times = self._pauses.clock(self._profile.time_at(i, z))
+        places = self._profile.grid.find(np.atleast_1d(s))
+        times = self._pauses.clock(self._profile.time_at(*places))
         return times if s.ndim else float(times[0])
 
     @cached_property
@@ -308,18 +305,16 @@ class TimedPath:
         k, pieces, c = grid.piece[i], grid.pieces, self.path.curve.c
         stretch, source = pieces.stretch[k], pieces.source[k]
         offset = pieces.begin[k] + (grid.offset[i] + ds) / stretch
-        value = horner(c, source, offset, min(order, 1))
-        if order == 1:
-            value *= np.asarray(speed / stretch)[..., None]
-        elif order == 2:
-            value *= np.asarray(rate / stretch)[..., None]
-            value += np.asarray((speed / stretch) ** 2)[..., None] * horner(c, source, offset, 2)
-        elif order == 3:
-            third = profile.third(i, ds, speed)
-            for k, rates in ((1, third), (2, 3 * speed * rate), (3, speed**3)):
-                term = horner(c, source, offset, k) * np.asarray(rates / stretch**k)[..., None]
-                value = term if k == 1 else value + term
-        if order and t.ndim:
+        if not order:
+            return horner(c, source, offset, 0).T
+        # of p', p'' ...
+        rates: list[Any] = [speed] if order == 1 else [rate, speed**2]
+        if order == 3:
+            rates = [profile.third(i, ds, speed), 3 * speed * rate, speed**3]
+        value = np.zeros((*np.shape(i), self.path.dof))
+        for n, factor in enumerate(rates, 1):
+            value += np.asarray(factor / stretch**n)[..., None] * horner(c, source, offset, n)
+        if t.ndim:
             value[paused] = 0.0
         return value.T
 

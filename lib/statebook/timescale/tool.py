@@ -65,17 +65,12 @@ def tool_limits(path: Path, speed: Any, acceleration: Any, kinematics: Any) -> l
     ):
         if value is None:
             continue
-        rows, kind = _rows(value, axes, path), norm if _rows(value, axes, path) == 1 else each
-        bounds = read_bounds(name, value, rows, path)
-        limits.append(
-            kind(
-                name.replace("_", " "),
-                **bounds._asdict(),
-                curve=found.curve,
-                slip=np.linalg.norm(slip, axis=1, keepdims=True) if rows == 1 else slip,
-                margin=2 * off,
-            )
-        )
+        rows = _rows(value, axes, path)
+        off_by = np.linalg.norm(slip, axis=1, keepdims=True) if rows == 1 else slip
+        bounds = read_bounds(name, value, rows, path)._asdict()
+        extra: dict[str, Any] = {"curve": found.curve, "slip": off_by, "margin": 2 * off}
+        kind = norm if rows == 1 else each
+        limits.append(kind(name.replace("_", " "), **bounds, **extra))
     return limits
 
 

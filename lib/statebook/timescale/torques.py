@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 import scipy
 
-from statebook.errors import InfeasiblePathError
 from statebook.probes import takes_batches
 from statebook.timescale.bounds import read_bounds
 from statebook.timescale.curves import fit
 from statebook.timescale.friction import DRAG_LOSS, friction_form, reversals
-from statebook.timescale.limits import TorqueLimit
+from statebook.timescale.limits import TorqueLimit, blocked
 from statebook.timescale.path import Path
 
 _SAMPLES = 5
@@ -97,13 +96,8 @@ def fitted_torques(limit: TorqueLimit, path: Path, tolerance: float) -> TorqueLi
         width = knots[worst + 1] - knots[worst]
         if error.max() > _JUMP and width < 1e-5 * (knots[-1] - knots[0]):
             row = int(error[worst].argmax())
-            raise InfeasiblePathError(
-                f"the path cannot be driven within the limits: at s = {knots[worst]:.6g} the "
-                f"torque of row {row} jumps there, or changes too fast; make it smooth, or time "
-                "the path in two parts",
-                constraint=f"torque of row {row}",
-                s=float(knots[worst]),
-            )
+            why = "jumps there, or changes too fast; make it smooth, or time the path in two parts"
+            raise blocked(f"torque of row {row}", float(knots[worst]), why)
         bad = np.unique(piece[unforeseen])
         if not len(bad):
             break

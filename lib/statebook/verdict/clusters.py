@@ -194,9 +194,9 @@ def _judged(number: int, block: Block, group: Group, discrete: bool) -> Cluster:
     point, side, defective = mean, -1 if worst > 0 else 1, False
     on_boundary = complex(project(mean, discrete))
     inside = margin(mean, discrete)
-    if -inside > radius or inside > _reach(T, radius):
-        clear = True  # the mean stays beyond, or all of them inside
-    elif p > 1 and worst > 0 and boundary_distance(T, discrete, radius) > radius:
+    # The mean stays beyond, or all of them inside.
+    certain = -inside > radius or inside > _reach(T, radius)
+    if certain or (p > 1 and worst > 0 and boundary_distance(T, discrete, radius) > radius):
         clear = True
     elif not single or abs(mean - on_boundary) > _blur(block, group, discrete):
         clear = False

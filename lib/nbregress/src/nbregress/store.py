@@ -108,9 +108,7 @@ def write(nb: Any, path: Path, stored: Any = None) -> bool:
         If it cannot be written.
     """
     if stored is not None and read(path) != stored:
-        raise NotebookError(
-            "was saved by somebody else while it ran, and stays as it is: run again"
-        )
+        raise NotebookError("was saved by somebody else while it ran, and stays: run again")
     data = as_written(nb)
     temporary = None
     try:

@@ -1,0 +1,29 @@
+"""Functions that workers of a cluster import: nothing heavy comes with them."""
+
+import numpy as np
+
+import statebook as sb
+
+GRID = {"radius": [1.0, 2.0, 3.0], "angle": np.linspace(0, 1, 5)}
+
+
+def polar(radius, angle):
+    return np.array([radius * np.cos(angle), radius * np.sin(angle)])
+
+
+POLAR = [[polar(r, a) for a in GRID["angle"]] for r in GRID["radius"]]
+
+
+def inverse(x):
+    return 1 / x
+
+
+def drawn(block, rng):
+    """Return sums of ends and of their squares of 50 gusty particles: a block of many runs."""
+    noise = sb.HeldNoise.white(0.5, 0.1, seed=rng)
+    run = sb.monte_carlo(
+        sb.Particle(), [0, 0], number=50, period=0.1, duration=0.5, disturbance=noise,
+        G=[[0], [1]], method="rk4",
+    )  # fmt: skip
+    ends = run.states[0, :, -1]
+    return [ends.sum(), (ends**2).sum()]
