@@ -192,14 +192,7 @@ def _not_like(value: np.ndarray, wanted: np.ndarray, answer: Any) -> str:
     return "" if np.isfinite(value).all() else "the answer must be finite"
 
 
-<<<<<<< HEAD
-def _close(value: np.ndarray, wanted: np.ndarray, rtol: float) -> bool:
-    largest = np.abs(wanted).max(initial=0.0)
-    return value.shape == wanted.shape and bool(np.all(np.abs(value - wanted) <= rtol * largest))
-=======
 def _close(value: np.ndarray, wanted: Any, rtol: float) -> bool:
     wanted = np.asarray(wanted, dtype=float)
-    return value.shape == wanted.shape and bool(
-        np.all(np.abs(value - wanted) <= rtol * np.abs(wanted).max(initial=0.0))
-    )
->>>>>>> 6ecc4b3d23e54ed1976f30af05bb80f71fbcf5d0
+    largest = np.abs(wanted).max(initial=0.0)
+    return value.shape == wanted.shape and bool(np.all(np.abs(value - wanted) <= rtol * largest))
