@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -14,13 +15,13 @@ from statebook.grading.sandbox import AnswerError, Apart, as_array, kind, told
 
 # A wrong number that is the right one times one of these comes from a slip of this kind.
 _FACTORS = {
-    "look at the sign": -1.0,
-    "you are off by a factor of two: is there a 1/2 too many?": 0.5,
-    "you are off by a factor of two: is there a 1/2 missing?": 2.0,
-    "degrees or radians?": np.pi / 180,
-    "degrees or radians? ": 180 / np.pi,
-    "the unit: it is a thousand times too large": 1e3,
-    "the unit: it is a thousand times too small": 1e-3,
+    -1.0: "look at the sign",
+    0.5: "you are off by a factor of two: is there a 1/2 too many?",
+    2.0: "you are off by a factor of two: is there a 1/2 missing?",
+    np.pi / 180: "degrees or radians?",
+    180 / np.pi: "degrees or radians?",
+    1e3: "the unit: it is a thousand times too large",
+    1e-3: "the unit: it is a thousand times too small",
 }
 
 
@@ -114,9 +115,8 @@ def _trouble(task: Exercise, answer: Any, p: Parameters, student: str | int) -> 
     if callable(wanted):
         with Apart(answer) as function:
             try:
-                trouble = (
-                    task.judge(function, p) if task.judge else _compared(task, function, p, student)
-                )
+                judge = task.judge or partial(_compared, task, student)
+                trouble = judge(function, p)
             except Exception:
                 if not function.trouble:
                     raise
@@ -136,24 +136,21 @@ def _judged(id: str, student: str | int, answer: np.ndarray) -> str:
     return str(task.judge(answer, task.parameters(student)))
 
 
-def _compared(task: Exercise, function: Apart, p: Parameters, student: str | int) -> str:
+def _compared(task: Exercise, student: str | int, function: Apart, p: Parameters) -> str:
     """Compare a function with the solution at the exercise's inputs."""
     assert task.inputs is not None
     points = task.inputs(p, task.rng(student))
     solution = task.solution(p)
-    wanted = [np.asarray(solution(*point), dtype=float) for point in points]
-    shape = wanted[0].shape
-    found = []
+
+    def values(called: Callable[..., Any]) -> np.ndarray:
+        return np.stack([np.asarray(called(*point), dtype=float) for point in points])
+
+    wanted, found = values(solution), []
     for point in points:
         found.append(function(*point))
-        if np.shape(found[-1]) != shape:
-            return f"your function must return shape {shape}, got {np.shape(found[-1])}"
-
-    def slipped(slip: Callable[[Parameters], Any]) -> Any:
-        wrong = slip(p)
-        return np.stack([np.asarray(wrong(*point), dtype=float) for point in points])
-
-    return compare(np.stack(found), np.stack(wanted), task, slipped)
+        if np.shape(found[-1]) != wanted.shape[1:]:
+            return f"your function must return shape {wanted.shape[1:]}, got {np.shape(found[-1])}"
+    return compare(np.stack(found), wanted, task, lambda slip: values(slip(p)))
 
 
 def compare(
@@ -171,20 +168,16 @@ def compare(
     value, wanted = as_array(answer), np.asarray(wanted, dtype=float)
     if trouble := _not_like(value, wanted, answer):
         return trouble
-    if _close(value, wanted, task.rtol):
-        return ""
-    for slip in task.slips:
-        if _close(value, np.asarray(slipped(slip.answer), dtype=float), task.rtol):
-            return slip.hint
-    if wanted.ndim == 2 and wanted.shape == wanted.T.shape and _close(value.T, wanted, task.rtol):
-        return "is it transposed?"
-    for hint, factor in _FACTORS.items():
-        # A figure may be read off roughly; a factor is not one by coincidence.
-        if _close(value, factor * wanted, min(task.rtol, 0.02)):
-            return hint.strip()
-    if _close(np.abs(value), np.abs(wanted), task.rtol):
-        return "look at the signs"
-    return "that is not it"
+    exact = min(task.rtol, 0.02)  # a figure may be read off roughly; no factor is a coincidence
+    guesses = chain(
+        [("", wanted, task.rtol)],
+        ((slip.hint, slipped(slip.answer), task.rtol) for slip in task.slips),
+        [("is it transposed?", wanted.T, task.rtol)],
+        ((hint, factor * wanted, exact) for factor, hint in _FACTORS.items()),
+        [("look at the signs", np.copysign(wanted, value), task.rtol)],
+    )
+    said = (hint for hint, guess, rtol in guesses if _close(value, guess, rtol))
+    return next(said, "that is not it")
 
 
 def _not_like(value: np.ndarray, wanted: np.ndarray, answer: Any) -> str:
@@ -193,14 +186,13 @@ def _not_like(value: np.ndarray, wanted: np.ndarray, answer: Any) -> str:
         return f"the answer must be {kind(wanted)}, got {kind(answer)}"
     if value.shape != wanted.shape:
         turned = wanted.ndim == 2 and value.shape == wanted.shape[::-1]
-        numbers = {0: "one number", 1: f"{wanted.size} numbers in a row"}
-        also = numbers.get(wanted.ndim, " rows of ".join(map(str, wanted.shape)) + " numbers")
-        also = "is it transposed?" if turned else f"give {also}"
+        count = " rows of ".join(map(str, wanted.shape))  # "" for a number
+        also = "is it transposed?" if turned else f"give {count or 'one'} number{'s' * bool(count)}"
         return f"the answer must have shape {wanted.shape}, got {value.shape}: {also}"
     return "" if np.isfinite(value).all() else "the answer must be finite"
 
 
-def _close(value: np.ndarray, wanted: np.ndarray, rtol: float) -> bool:
-    return value.shape == wanted.shape and bool(
-        np.all(np.abs(value - wanted) <= rtol * np.abs(wanted).max(initial=0.0))
-    )
+def _close(value: np.ndarray, wanted: Any, rtol: float) -> bool:
+    wanted = np.asarray(wanted, dtype=float)
+    largest = np.abs(wanted).max(initial=0.0)
+    return value.shape == wanted.shape and bool(np.all(np.abs(value - wanted) <= rtol * largest))

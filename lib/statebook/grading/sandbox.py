@@ -173,10 +173,8 @@ def as_array(value: Any) -> np.ndarray:
         return np.array(float(value))  # an int of any length and a Fraction too
     if isinstance(value, dict | set):
         return np.array(value, dtype=object)
-    if isinstance(value, np.ndarray):
-        many = value.size
-    else:
-        many = len(value) if isinstance(value, Sized) and not isinstance(value, str) else 0
+    sized = isinstance(value, Sized) and not isinstance(value, str)
+    many = value.size if isinstance(value, np.ndarray) else len(value) if sized else 0
     if many > MOST:
         raise AnswerError(f"an answer has {MOST} entries at most, got {many}")
     return np.array(value)

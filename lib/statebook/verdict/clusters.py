@@ -113,13 +113,15 @@ def separated(block: Block, tol: float, margins: np.ndarray) -> tuple[np.ndarray
     sensitivity = np.linalg.norm(np.minimum(np.abs(dual), 1e100), axis=1)
     radius = min(n, 2) * tol * sensitivity
     means, reach = values, n * radius
-    distance = np.abs(means[:, None] - means)
-    np.fill_diagonal(distance, np.inf)
-    meet = distance <= reach[:, None] + reach
     members = [np.array([i]) for i in range(n)]
     bases, duals = np.hsplit(block.Q @ vectors, n), np.vsplit(dual @ block.Q.conj().T, n)
     parts = np.hsplit(values[None], n)
-    while meet.any():
+    while True:
+        distance = np.abs(means[:, None] - means)
+        np.fill_diagonal(distance, np.inf)
+        meet = distance <= reach[:, None] + reach
+        if not meet.any():
+            break
         # Of two that meet, the more sensitive one is joined with what is nearest to it.
         blurred = (meet & (sensitivity[:, None] >= sensitivity)).any(axis=1)
         nearest = distance <= _AS_NEAR * distance.min(axis=1, keepdims=True)
@@ -128,21 +130,15 @@ def separated(block: Block, tol: float, margins: np.ndarray) -> tuple[np.ndarray
         )
         joined = [np.flatnonzero(labels == label) for label in range(count)]
         members = [np.sort(np.concatenate([members[i] for i in part])) for part in joined]
-        kept = [part[0] if len(part) == 1 else None for part in joined]
-        new = [
-            _invariant(block, m) if i is None else (bases[i], parts[i])
-            for i, m in zip(kept, members, strict=True)
-        ]
-        bases, parts = [pair[0] for pair in new], [pair[1] for pair in new]
+        kept = ((bases[i], parts[i]) if not rest else None for i, *rest in joined)
+        new = [pair or _invariant(block, m) for pair, m in zip(kept, members, strict=True)]
+        bases, parts = map(list, zip(*new, strict=True))
         places = np.cumsum([len(m) for m in members])[:-1]
         duals = np.split(inverse(np.hstack(bases)), places)
         sensitivity = np.array([spectral_norm(dual) for dual in duals])
         means = np.array([T.diagonal().mean() for T in parts])
         sizes = 2 * count * tol * sensitivity
         reach = np.array([_reach(*pair) for pair in zip(parts, sizes, strict=True)])
-        distance = np.abs(means[:, None] - means)
-        np.fill_diagonal(distance, np.inf)
-        meet = distance <= reach[:, None] + reach
     groups = []
     for group in zip(members, bases, duals, parts, sensitivity, strict=True):
         place, size = group[0], float(min(len(members), 2) * tol * group[-1])
@@ -198,9 +194,9 @@ def _judged(number: int, block: Block, group: Group, discrete: bool) -> Cluster:
     point, side, defective = mean, -1 if worst > 0 else 1, False
     on_boundary = complex(project(mean, discrete))
     inside = margin(mean, discrete)
-    if -inside > radius or inside > _reach(T, radius):
-        clear = True  # the mean stays beyond, or all of them inside
-    elif p > 1 and worst > 0 and boundary_distance(T, discrete, radius) > radius:
+    # The mean stays beyond, or all of them inside.
+    certain = -inside > radius or inside > _reach(T, radius)
+    if certain or (p > 1 and worst > 0 and boundary_distance(T, discrete, radius) > radius):
         clear = True
     elif not single or abs(mean - on_boundary) > _blur(block, group, discrete):
         clear = False

@@ -307,15 +307,13 @@ def _roots(
                 roots[k] = roots[k] / abs(roots[k]) if discrete else 1j * mpmath.im(roots[k])
             found = sum(m > 0 for m in margins), sum(m < 0 for m in margins)
         if found == (count[0], count[2]):
-            break
-    else:
-        raise RuntimeError(
-            f"the eigenvalues were counted ({count[0]} inside, {count[1]} on the boundary,"
-            f" {count[2]} beyond) but not found with {_DIGITS[-1]} digits; use exact=False"
-        )
-    # A margin that underflows keeps its sign.
-    distances = [float(m) or float(mpmath.sign(m)) * 5e-324 for m in margins]
-    return [complex(root) for root in roots], distances
+            # A margin that underflows keeps its sign.
+            distances = [float(m) or float(mpmath.sign(m)) * 5e-324 for m in margins]
+            return [complex(root) for root in roots], distances
+    raise RuntimeError(
+        f"the eigenvalues were counted ({count[0]} inside, {count[1]} on the boundary,"
+        f" {count[2]} beyond) but not found with {_DIGITS[-1]} digits; use exact=False"
+    )
 
 
 def _jordan_points(

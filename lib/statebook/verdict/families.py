@@ -66,23 +66,19 @@ def family_of(
     null, back = _null_space(A, scale, system.discrete)
     dimension = null.shape[1]
     semisimple = multiplicity == dimension
-    if dimension == 0 or multiplicity < dimension or rest < -tolerance:
+    beyond = rest <= tolerance if semisimple else rest < -tolerance
+    if dimension == 0 or multiplicity < dimension or beyond:
         return None
-    if semisimple and rest <= tolerance:
+    ways = (_continued(system, x, u, length * null, back, scale) for length in _LENGTHS)
+    found = next(filter(None, ways), [])
+    for there in [] if semisimple else found:
+        judged = judge(there, system.discrete, check_distance=False)
+        at = _at_rest(judged.eigenvalues, judged.tolerance, system.discrete)
+        same = _null_space(there, scale, system.discrete)[0].shape[1] == dimension
+        if at.sum() != multiplicity or not same:
+            return None
+    if not found:
         return None
-    for length in _LENGTHS:
-        found = _continued(system, x, u, length * null, back, scale)
-        if found:
-            break
-    else:
-        return None
-    if not semisimple:
-        for found_A in found:
-            judged = judge(found_A, system.discrete, check_distance=False)
-            there = _at_rest(judged.eigenvalues, judged.tolerance, system.discrete)
-            same = _null_space(found_A, scale, system.discrete)[0].shape[1] == dimension
-            if there.sum() != multiplicity or not same:
-                return None
     return Family(dimension, not semisimple, rest)
 
 
