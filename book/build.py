@@ -90,6 +90,12 @@ def gather(pages: dict[Path, Path], folder: Path) -> None:
         put(source, target)
 
 
+def restore() -> None:
+    """Put the old site back where an interruption came between the two renamings."""
+    if (BUILD / "html.old").exists() and not (BUILD / "html").exists():
+        (BUILD / "html.old").rename(BUILD / "html")
+
+
 def build(skipped: list[Path], notebooks: list[Path], options: list[str]) -> None:
     """Build the site beside the old one, then put it in its place."""
     source, site, html = BUILD / "source", BUILD / "site", BUILD / "html"
@@ -122,6 +128,7 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--skip", nargs="*", default=[], help="shown as they were committed")
     options, sphinx = parser.parse_known_args(arguments)
     BUILD.mkdir(exist_ok=True)
+    restore()
     paths = sorted((ROOT / "workbook").rglob("[0-9][0-9]_*.ipynb"))
     paths = [path for path in paths if not path.parent.name.startswith(".")]
     skipped = [ROOT / name for name in options.skip]

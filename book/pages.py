@@ -176,6 +176,7 @@ def write_all(here: Path) -> dict[str, str]:
         "cases": listed(chapters("cases")),
         "items": items(),
         "exercises": exercises(),
+        "projects": listed([path for path in chapters("exercises") if "project" in path.stem]),
         "modules": write_reference(here / "reference"),
     }
 

@@ -129,6 +129,16 @@ def test_the_old_site_stays_until_the_new_one_is_whole(build, monkeypatch):
     assert not list(build.BUILD.glob("html.*"))
 
 
+def test_the_old_site_comes_back_after_an_interruption_between_two_renamings(build):
+    old, html = build.BUILD / "html.old", build.BUILD / "html"
+    old.mkdir()
+    build.restore()
+    assert html.exists() and not old.exists()
+    old.mkdir()
+    build.restore()  # a whole new site is there: it stays
+    assert html.exists() and old.exists()
+
+
 def test_pages_of_notebooks_that_are_gone_go(build):
     go(build)
     source = build.BUILD / "source"

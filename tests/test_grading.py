@@ -177,7 +177,7 @@ def verdict(answer, wanted, slips=()):
         ([[1, 4], [2, 5], [3, 6]], [[1, 2, 3], [4, 5, 6]], "is it transposed"),
         ([1.0, -2.0], [1.0, 2.0], "signs"),
         ([1.0, 2.0, 3.0], [1.0, 2.0], "shape"),
-        (1.0, [1.0, 2.0], "give 2 numbers in a row"),
+        (1.0, [1.0, 2.0], "give 2 numbers"),
         ([1.0, 2.0], 1.0, "give one number"),
         (" Stable ", "stable", ""),
         ("unstable", "stable", "that is not it"),

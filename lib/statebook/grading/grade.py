@@ -186,15 +186,13 @@ def _not_like(value: np.ndarray, wanted: np.ndarray, answer: Any) -> str:
         return f"the answer must be {kind(wanted)}, got {kind(answer)}"
     if value.shape != wanted.shape:
         turned = wanted.ndim == 2 and value.shape == wanted.shape[::-1]
-        numbers = {0: "one number", 1: f"{wanted.size} numbers in a row"}
-        also = numbers.get(wanted.ndim, " rows of ".join(map(str, wanted.shape)) + " numbers")
-        also = "is it transposed?" if turned else f"give {also}"
+        count = " rows of ".join(map(str, wanted.shape))  # "" for a number
+        also = "is it transposed?" if turned else f"give {count or 'one'} number{'s' * bool(count)}"
         return f"the answer must have shape {wanted.shape}, got {value.shape}: {also}"
     return "" if np.isfinite(value).all() else "the answer must be finite"
 
 
 def _close(value: np.ndarray, wanted: Any, rtol: float) -> bool:
     wanted = np.asarray(wanted, dtype=float)
-    return value.shape == wanted.shape and bool(
-        np.all(np.abs(value - wanted) <= rtol * np.abs(wanted).max(initial=0.0))
-    )
+    largest = np.abs(wanted).max(initial=0.0)
+    return value.shape == wanted.shape and bool(np.all(np.abs(value - wanted) <= rtol * largest))

@@ -113,10 +113,8 @@ def _changes_and_caps(limits: Sequence[Limit], grid: Grid) -> tuple[Changes, np.
     a, b, lower, upper = (np.concatenate(values, axis=2) for values in zip(*rows, strict=True))
     # The same for x at one end and at the other, in the place of x and u.
     m0, m1 = every.m[0], every.m[-1]
-    low, high = (
-        np.where(every.turn, v, side[-1])
-        for v, side in ((-np.inf, every.low), (np.inf, every.high))
-    )
+    low = np.where(every.turn, -np.inf, every.low[-1])
+    high = np.where(every.turn, np.inf, every.high[-1])
     ends = [(a, m1, -m0), (b, -m0, m1), (lower, low, low), (upper, high, high)]
     found = _highest(*(np.concatenate([v, [left, right]]) for v, left, right in ends))
     cap[[0, -1]] = np.minimum(cap[[0, -1]], np.minimum(found[:2], found[2:]))
@@ -237,9 +235,8 @@ def _highest_motion(
     for first, last, start, end in sections:
         top = np.append(x[0, first:last], x[1, last - 1])
         top[1:-1] = np.minimum(top[1:-1], x[1, first : last - 1])
-        top[0], top[-1] = (
-            cap if speed is None else speed for cap, speed in ((top[0], start), (top[-1], end))
-        )
+        top[0] = top[0] if start is None else start
+        top[-1] = top[-1] if end is None else end
         best = top.tolist()
         inside = slice(first, last)
         for k, slope, offset in reversed(_lines_below(loss[inside], less[inside], top[:-1])):
@@ -252,9 +249,8 @@ def _highest_motion(
                 best[k + 1] = bound
         x[:, first:last] = np.maximum([best[:-1], best[1:]], 0.0)
         possible &= min(best[1:-1], default=1.0) > 0
-        possible &= best[0] >= (start or 0.0) * (1 - _SAME) and best[-1] >= (end or 0.0) * (
-            1 - _SAME
-        )
+        possible &= best[0] >= (start or 0.0) * (1 - _SAME)
+        possible &= best[-1] >= (end or 0.0) * (1 - _SAME)
     return x, possible
 
 
@@ -278,16 +274,13 @@ def _least_times(changes: Changes, cap: np.ndarray, x: np.ndarray, h: np.ndarray
     ahead, back = first + high, last - (low[-1] - low)
     back[-1, turn] = np.inf
     alone = _time_of_rows(ahead, push, 1), _time_of_rows(back, push, -1)
-    bounds = np.concatenate(
-        [np.where(m > 0, ahead / m, np.inf), np.where(m > 0, back / m, np.inf), cap[:, :, None]],
-        axis=2,
-    )
+    rows = [np.where(m > 0, way / m, np.inf) for way in (ahead, back)]
+    bounds = np.concatenate([*rows, cap[:, :, None]], axis=2)
     beyond = turn & ~np.isfinite(ahead[:-1]) & ~np.isfinite(back[1:])
     longest = np.where(beyond, alone[0] + alone[1], np.maximum(*alone)).max(axis=2)
     times = np.zeros(len(h))
     for k in range(_COUNT - 1):
-        under = _time_under(bounds, k) * h
-        times += np.maximum(under, longest[k])
+        times += np.maximum(_time_under(bounds, k) * h, longest[k])
     return times
 
 

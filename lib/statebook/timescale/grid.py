@@ -155,15 +155,14 @@ def lay_grid(
 
 def _set_ends(pieces: Pieces, sections: list[Section], start: float, end: float) -> None:
     """Put the speeds at the ends of the path into its first and last section."""
-    for name, speed, piece in (("start_speed", start, 0), ("end_speed", end, -1)):
-        if speed > 0 and not pieces.moving[piece]:
+    for name, speed, k in (("start", start, 0), ("end", end, -1)):
+        if speed > 0 and not pieces.moving[k]:
             raise ValueError(
-                f"{name} must be 0 on a path that begins or ends without moving, got {speed:g}"
+                f"{name}_speed must be 0 on a path that begins or ends without moving, got "
+                f"{speed:g}"
             )
-    if start > 0:
-        sections[0] = sections[0]._replace(start=(start * pieces.stretch[0]) ** 2)
-    if end > 0:
-        sections[-1] = sections[-1]._replace(end=(end * pieces.stretch[-1]) ** 2)
+        if speed > 0:
+            sections[k] = sections[k]._replace(**{name: (speed * pieces.stretch[k]) ** 2})
 
 
 def _runs(

@@ -229,12 +229,10 @@ def _regridded(stretch: Stretch, motion: Motion, count: int) -> Motion:
     nodes = np.unique(np.concatenate([nodes, inner]))
     x, u = motion.at(nodes), np.interp(nodes, motion.r, motion.u)
     x = np.maximum(x, 1e-12 * x.max())
-    for at_end, order in enumerate(stretch.order):
-        if order:
-            nodes, x, u = (
-                np.insert(values, len(values) if at_end else 0, end)
-                for values, end in ((nodes, stretch.knots[-at_end]), (x, 0.0), (u, 0.0))
-            )
+    leaves, arrives = (int(order > 0) for order in stretch.order)
+    x, u = (np.pad(values, (leaves, arrives)) for values in (x, u))
+    first, last = stretch.knots[:leaves], stretch.knots[len(stretch.knots) - arrives :]
+    nodes = np.concatenate([first, nodes, last])
     return Motion(nodes, x, u)
 
 

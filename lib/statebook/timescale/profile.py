@@ -287,9 +287,8 @@ def _maxima(
         values = (values**2).sum(axis=2, keepdims=True)
     coefficients = transform(values)
     power = 2 if limit.squared or limit.norm else 1
-    sides: list[Any] = [(coefficients, upper**power, None), (-coefficients, -lower, None)][
-        : 3 - power
-    ]
+    sides: list[Any] = [(coefficients, upper**power, None), (-coefficients, -lower, None)]
+    sides = sides[: 3 - power]
     if isinstance(limit, VelocityLimit) and not np.array_equal(upper, -lower):
         slope = transform(limit.motion(profile.grid, z, 1))
         sides = [(coefficients, upper**2, slope), (coefficients, lower**2, -slope)]

@@ -89,10 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             f"{parser.prog} needs the package {missing}, which this Python does not have; "
             f"install it: {sys.executable} -m pip install {missing}\n",
         )
-    given = {
-        name: getattr(options, name, None)
-        for name in ("rtol", "atol", "sanitize_with", "timeout", "kernel")
-    }
+    given = {k: getattr(options, k, None) for k in "rtol atol sanitize_with timeout kernel".split()}
     if options.command == "diff":
         return diff(options.old, options.new, given, options.report)
     if options.jobs < 1:
@@ -132,7 +129,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return outcome
 
     finish = copy if options.command == "execute" else replace
-    failed = run_all(paths, finish, jobs=options.jobs, given=given)
+    try:
+        failed = run_all(paths, finish, jobs=options.jobs, given=given)
+    except KeyboardInterrupt:
+        parser.exit(130, "interrupted: what was written is whole, the rest is as it was\n")
     for which, what in ((failed, "failed"), (stale, "would change")):
         if which:
             names = ", ".join(map(str, which))
