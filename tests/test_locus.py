@@ -378,3 +378,17 @@ def test_comparisons_of_what_cannot_be_compared_are_said():
         sb.compare(report, [[-1.0]])
     with pytest.raises(ValueError, match="continuous or in discrete"):
         sb.compare(report, sb.stability([[0.5]], dt=0.1))
+
+
+def test_crossovers_do_not_depend_on_the_units_of_the_states():
+    rng = np.random.default_rng(3)
+    A, B, C = rng.normal(size=(5, 5)), 3 * rng.normal(size=(5, 1)), rng.normal(size=(1, 5))
+    unit = 10.0 ** np.array([5, -4, 0, 3, -5])
+    plants = (
+        control.ss(A, B, C, 0),
+        control.ss(A * unit[:, None] / unit, B * unit[:, None], C / unit, 0),
+    )
+    found, same = (sb.stability(plant).margins(2.0).crossover for plant in plants)
+    assert len(found) > 0
+    assert same == pytest.approx(found, rel=1e-9)
+    np.testing.assert_allclose(np.abs(2 * plants[0](1j * np.array(found))), 1, rtol=1e-9)

@@ -102,7 +102,7 @@ def margins_of(loop: Any) -> Margins:
     """Return the margins of an open loop, a control.StateSpace with one input and output.
 
     Gains are where eigenvalues of the closed loop cross, the modulus is 1 / norm(S), S = 1 / (1 +
-    L), and crossovers are python-control's, in discrete time by z = (1 + w) / (1 - w).
+    L); crossovers and norm are those in continuous time, by z = (1 + w) / (1 - w).
     """
     import control
 
