@@ -112,6 +112,9 @@ def test_a_frame_that_fails_says_for_which_value_and_the_others_are_shown():
 
 def test_what_extensions_add_to_figures_is_collected_frame_by_frame(monkeypatch):
     class Shell:
+        class events:  # pyplot may hang on a shell that was here before
+            register = unregister = staticmethod(lambda name, function: None)
+
         class display_formatter:
             @staticmethod
             def mimebundle_formatter(figure):
