@@ -30,6 +30,7 @@ def notebook(tmp_path, monkeypatch, capsys):
     shell = InteractiveShell(config=config)
     monkeypatch.setattr(IPython, "get_ipython", lambda: shell)
     monkeypatch.setattr(plt, "show", lambda: plt.close("all"))
+    monkeypatch.setattr(plt, "install_repl_displayhook", lambda: None)  # it would outlive the shell
     path = new_notebook("magnet", tmp_path)
     cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
     sources = ["".join(c["source"]) for c in cells if c["cell_type"] == "code"]
