@@ -93,7 +93,7 @@ def main(path: str) -> None:
         f" one thread; {', '.join(f'{n} {version(n)}' for n in names)}; {run['datetime'][:10]}."
     )
     text = TOP.format(machine=about)
-    by_group = sorted(run["benchmarks"], key=lambda row: row["group"].split(",")[0])
+    by_group = sorted(run["benchmarks"], key=lambda row: row["group"])
     for group, rows in groupby(by_group, key=lambda row: row["group"]):
         text += f"## {group[:1].upper()}{group[1:]}\n\n{table(list(rows))}\n\n"
     PAGE.write_text(text + END, encoding="utf-8")
