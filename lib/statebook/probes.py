@@ -11,7 +11,7 @@ import numpy as np
 
 from statebook._validate import brief
 
-_TIME = ("t", "time", "_t")
+TIME = ("t", "time", "_t")
 _TIMES = (0.0, 1e-3, 0.7310586, 4.269, 61.803, 2718.28)
 _INPUTS = 12  # up to which the number of a function's inputs is looked for
 
@@ -42,7 +42,7 @@ def arguments_of(f: Callable[..., Any]) -> tuple[int, int]:
         required = sum(p.default is p.empty for p in kinds)
         variadic = any(p.kind is p.VAR_POSITIONAL for p in parameters)
     given = ", ".join(names)
-    if len(names) > 1 and (names[0] in _TIME or (required == 2 and names[1] in _TIME)):
+    if len(names) > 1 and (names[0] in TIME or (required == 2 and names[1] in TIME)):
         order = "x, u, t" if len(names) > 2 else "x, t"
         raise TypeError(
             f"a system's function must take (x), (x, u) or (x, u, t), got one of ({given}), with"
@@ -54,7 +54,7 @@ def arguments_of(f: Callable[..., Any]) -> tuple[int, int]:
             f"a system's function must take (x), (x, u) or (x, u, t), got {required} required"
             " arguments; bind the others first (functools.partial)"
         )
-    timed = len(names) > 2 and (required == 3 or names[2] in _TIME)
+    timed = len(names) > 2 and (required == 3 or names[2] in TIME)
     accepted = 2 if variadic else 3 if timed else min(len(names), 2)
     return max(required, 1), accepted
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from statebook import _validate
 from statebook.control_trajectory import ControlTrajectory
+from statebook.policies import as_plan, at_start
 from statebook.simulation import simulate, simulate_clocked
 from statebook.systems import System, as_system
 from statebook.trajectory import Trajectory
@@ -95,7 +96,10 @@ def monte_carlo(
     if x0.ndim not in (1, 2) or (x0.ndim == 2 and x0.shape[1] != number):
         raise ValueError(f"x0 must have shape (n,) or (n, {number}), got {x0.shape}")
     start = x0.copy() if x0.ndim == 2 else np.repeat(x0[:, None], number, axis=1)
-    system = _viewed(system, start, policy)
+    policy = as_plan("policy", policy)
+    asked = callable(policy) and not isinstance(policy, ControlTrajectory)
+    first = [at_start("policy(x0, 0)", policy, start, 0.0)] if asked else []
+    system = _viewed(system, start, first[0] if asked else policy, asked)
     if len(start) != system.n:
         raise ValueError(
             f"x0 must have shape ({system.n},) or ({system.n}, {number}), got {x0.shape}"
@@ -114,7 +118,9 @@ def monte_carlo(
             _check_noise(disturbance, period, q)
 
     def inputs(x: np.ndarray, t: float) -> np.ndarray:
-        u = np.zeros((m, number)) if policy is None else control_of(policy, x, t, m)
+        # One call a tick: the first told how many inputs there are.
+        now = first.pop() if first else policy
+        u = np.zeros((m, number)) if policy is None else control_of(now, x, t, m)
         if disturbance is None:
             return u
         held = isinstance(disturbance, HeldNoise)
@@ -137,15 +143,14 @@ def monte_carlo(
     )
 
 
-def _viewed(system: Any, start: np.ndarray, policy: Any) -> System:
-    """Return the system; of a plain function, the states and the policy tell n and m."""
+def _viewed(system: Any, start: np.ndarray, value: Any, asked: bool) -> System:
+    """Return the system; of a plain function, the states and a control tell n and m."""
     x, u = start[:, 0], None
-    if isinstance(policy, ControlTrajectory):
-        u = np.zeros(policy.m)
-    elif policy is not None:
-        value = np.asarray(policy(start, 0.0) if callable(policy) else policy)
+    if isinstance(value, ControlTrajectory):
+        u = np.zeros(value.m)
+    elif value is not None:
         # One number a trajectory is a single input.
-        single = value.ndim == 0 or (callable(policy) and value.shape == start.shape[1:])
+        single = np.ndim(value) == 0 or (asked and value.shape == start.shape[1:])
         u = np.zeros(1 if single else len(value))
     try:
         return as_system(system, x, u)
