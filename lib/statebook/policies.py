@@ -250,11 +250,9 @@ def as_control(
     function, t0, shape = u, float(times[0]), (m,)
 
     def policy(x: np.ndarray, t: float) -> np.ndarray:
-        value = function(x.copy(), t)
-        # What `shaped` does with most of them, without a call.
-        if type(value) is np.ndarray and value.dtype is _FLOAT and x.ndim == 1:
-            if value.shape == shape:
-                return value
+        value = np.asarray(function(x.copy(), t))
+        if value.dtype is _FLOAT and value.shape == shape and x.ndim == 1:
+            return value  # as `shaped` does with most of them, without a call
         return shaped("u(x, t)", value, m, x.shape[1:])
 
     def one_by_one(x: np.ndarray, t: float) -> np.ndarray:

@@ -31,7 +31,7 @@ def of_control(sys: Any, x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
 
 def of_function(f: Function, number: int, x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
     """Evaluate a function of so many of x, u, t, which must not change the caller's arrays."""
-    return called(f, number, x.copy(), u.copy(), t)
+    return copied(f(*(x.copy(), u.copy(), t)[:number]))
 
 
 def called(f: Function, number: int, x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:

@@ -12,7 +12,6 @@ from statebook.clock import Clock
 from statebook.control_trajectory import ControlTrajectory
 from statebook.dense_output import Steps
 from statebook.events import watches
-from statebook.models.base import Model
 from statebook.policies import Policy, as_control, as_plan, at_start, example_input, shaped, valued
 from statebook.probes import takes_batches
 from statebook.runge_kutta import METHODS, SEMI_IMPLICIT_EULER
@@ -298,8 +297,6 @@ def _as_system(system: Any, x0: np.ndarray, u: np.ndarray | None, t: float) -> S
         known = as_system(system, x0, u, names=("x0", "u"))
     if known.n != len(x0):
         raise ValueError(f"x0 must have n = {known.n} rows for {known.name}, got {x0.shape}")
-    if isinstance(system, Model):  # the checks of its dynamics take longer than the equations
-        return replace(known, rate=lambda x, u, t: system.rate(x, u))
     return known
 
 

@@ -232,9 +232,10 @@ def as_system(
 
 def _from_model(model: Any) -> System:
     plain = getattr(type(model), "dynamics", None) is Model.dynamics
-    f = model.rate if plain else model.dynamics  # dynamics checks once more what System does
+    # Its dynamics would check once more what System does.
+    rate = model.rate if plain else partial(rates.of_model, model.dynamics)
     return System(
-        rate=partial(rates.of_model, f),
+        rate=rate,
         states=tuple(model.states),
         inputs=tuple(model.inputs),
         linear=getattr(model, "linear", False),

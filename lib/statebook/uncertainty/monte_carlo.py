@@ -9,7 +9,7 @@ import numpy as np
 from statebook import _validate
 from statebook.control_trajectory import ControlTrajectory
 from statebook.policies import as_plan, at_start
-from statebook.simulation import simulate, simulate_clocked
+from statebook.simulation import simulate_clocked
 from statebook.systems import System, as_system
 from statebook.trajectory import Trajectory
 from statebook.uncertainty.error_models import control_of, with_disturbance
@@ -127,20 +127,8 @@ def monte_carlo(
         w = disturbance(t, number) if held else control_of(disturbance, x, t, q, "disturbance")
         return np.concatenate([u, w])
 
-    options: dict[str, Any] = {"method": method, "rtol": rtol, "atol": atol}
-    if disturbed.m:
-        run = simulate_clocked(
-            disturbed, start, inputs, period=period, duration=duration, samples=samples, **options
-        )
-        controls, labels = run.controls, disturbed.inputs
-    else:  # nothing to hold: the ticks are samples alone
-        ticks = int(np.ceil(duration / period * (1 - 1e-12)))
-        times = np.arange(ticks * samples + 1) * (period / samples)
-        run = simulate(disturbed, start, times=times, **options)
-        controls, labels = None, None
-    return Trajectory(
-        run.times, run.states, controls, state_labels=disturbed.states, input_labels=labels
-    )
+    options: dict[str, Any] = {"method": method, "rtol": rtol, "atol": atol, "samples": samples}
+    return simulate_clocked(disturbed, start, inputs, period=period, duration=duration, **options)
 
 
 def _viewed(system: Any, start: np.ndarray, value: Any, asked: bool) -> System:
