@@ -138,7 +138,7 @@ def simulate(
     if method in _FIXED_STEP and given is None and not known.discrete:
         raise ValueError(f'method "{method}" steps from time to time: give times, not duration')
     times = _times(given, duration, start, known)
-    control = as_control(u, known, x0, times, given)
+    control = as_control(u, known, x0, times, None if given is None else times)
     before = _control("u_before", u_before, known.m, x0.shape[1:])
     delay = _validate.non_negative("delay", delay)
     switches = np.union1d(_validate.real_array("switches", switches, (None,)), [])
@@ -361,6 +361,8 @@ def _times(given: np.ndarray | None, duration: Any, start: float, system: System
         if system.discrete:
             # They become ticks: those of single precision may be as far from them.
             _require_whole("times", given - start, system, f" apart, got {given}", 1e-6)
+            dt = float(system.dt or 1)
+            return np.array([tick(start, dt, k) for k in np.round((given - start) / dt)])
         return given
     duration = _validate.positive("duration", duration)
     if not system.discrete:
