@@ -30,13 +30,8 @@ def of_control(sys: Any, x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
 
 
 def of_function(f: Function, number: int, x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
-    """Evaluate a function of so many of x, u, t, which must not change the caller's arrays."""
+    """Evaluate a function of so many of x, u, t: apart from the caller's arrays and its own."""
     return copied(f(*(x.copy(), u.copy(), t)[:number]))
-
-
-def called(f: Function, number: int, x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
-    """Evaluate a function of so many of x, u, t; what it returns may be its buffer."""
-    return copied(f(*(x, u, t)[:number]))
 
 
 def make_portable(kind: type) -> None:
@@ -46,6 +41,5 @@ def make_portable(kind: type) -> None:
 
 def _reduced(sys: Any) -> tuple[Any, ...]:
     names = {"states": sys.state_labels, "inputs": sys.input_labels, "outputs": sys.output_labels}
-    matrices = map(np.array, (sys.A, sys.B, sys.C, sys.D))
-    make = partial(type(sys), **names, name=sys.name, remove_useless_states=False)
-    return make, (*matrices, sys.dt)
+    make = partial(sys.__class__, **names, name=sys.name, remove_useless_states=False)
+    return make, (*map(np.array, (sys.A, sys.B, sys.C, sys.D)), sys.dt)

@@ -146,7 +146,7 @@ def simulate(
     known = _checked(known, solver, events, x0, first, start)
     steps = Steps(x0, times, by_rows=solver.by_rows, all_kept=delay > 0)
     if known.discrete:
-        _require_whole("delay", delay, known, f", got {delay:g}")
+        _whole("delay", delay, known, f", got {delay:g}")
         return _iterated(known, steps, solver, control.policy, delay, before)
     end = float(times[-1])
     if delay > 1e-11 * (end - start):  # below, it is lost in the rounding of t
@@ -253,8 +253,7 @@ def simulate_clocked(
     times[::samples] = ticks
     steps = Steps(x0, times, by_rows=solver.by_rows)
     if known.discrete:
-        step = period / samples
-        _require_whole("period / samples", step, known, f", got {step:g}")
+        _whole("period / samples", period / samples, known, f", got {period / samples:g}")
         return _iterated(known, steps, solver, clock.sample, 0.0, before, per_interval=True)
     if max_step is None and may_vary(known):
         solver.stay_within(times)
@@ -347,26 +346,26 @@ def _checked(
     return system if agrees else replace(system, batched=False)
 
 
-def _require_whole(name: str, spans: Any, system: System, got: str, rounding: float = 1e-9) -> None:
+def _whole(name: str, spans: Any, system: System, got: str, rounding: float = 1e-9) -> Any:
+    """Return spans of time as whole samples; single precision is told by its rounding."""
     dt = float(system.dt or 1)
+    counts = np.round(np.divide(spans, dt))
     allowed = np.minimum(rounding * np.maximum(dt, np.abs(spans)), 0.01 * dt)
-    if np.any(np.abs(spans - np.round(spans / dt) * dt) > allowed):
+    if np.any(np.abs(spans - counts * dt) > allowed):
         raise ValueError(f"{name} must be whole samples of dt = {dt:g}{got}")
+    return counts
 
 
 def _times(given: np.ndarray | None, duration: Any, start: float, system: System) -> np.ndarray:
     if (given is None) == (duration is None):
         raise ValueError("give either duration or times" + (", not both" if duration else ""))
-    if given is not None:
-        if system.discrete:
-            # They become ticks: those of single precision may be as far from them.
-            _require_whole("times", given - start, system, f" apart, got {given}", 1e-6)
-            dt = float(system.dt or 1)
-            return np.array([tick(start, dt, k) for k in np.round((given - start) / dt)])
+    if given is None:
+        duration = _validate.positive("duration", duration)
+        if not system.discrete:
+            return np.linspace(start, start + duration, _SAMPLES)
+        counts = np.arange(_whole("duration", duration, system, f" apart, got {duration}") + 1)
+    elif system.discrete:
+        counts = _whole("times", given - start, system, f" apart, got {given}", 1e-6)
+    else:
         return given
-    duration = _validate.positive("duration", duration)
-    if not system.discrete:
-        return np.linspace(start, start + duration, _SAMPLES)
-    _require_whole("duration", duration, system, f" apart, got {duration}")
-    dt = float(system.dt or 1)
-    return np.array([tick(start, dt, k) for k in range(round(duration / dt) + 1)])
+    return np.array([tick(start, float(system.dt or 1), k) for k in counts])

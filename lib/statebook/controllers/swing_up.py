@@ -115,7 +115,7 @@ class SwingUp:
         pump = self.gain * (weight - energy + friction) * x[1]
         # A jump at rest alone would chatter: the start fades with the height, and pushes on.
         start = np.maximum(0.0, 1 - (weight + energy) / (2 * weight * _START))
-        pump = pump + np.where(x[1] < 0, -self.limit, self.limit) * start
+        pump += np.where(x[1] < 0, -self.limit, self.limit) * start
         pump = np.clip(pump, -self.limit, self.limit)
         return np.where(self._caught(x), self.catch(x, t), pump[None])
 

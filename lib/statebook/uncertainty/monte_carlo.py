@@ -100,10 +100,6 @@ def monte_carlo(
     asked = callable(policy) and not isinstance(policy, ControlTrajectory)
     first = [at_start("policy(x0, 0)", policy, start, 0.0)] if asked else []
     system = _viewed(system, start, first[0] if asked else policy, asked)
-    if len(start) != system.n:
-        raise ValueError(
-            f"x0 must have shape ({system.n},) or ({system.n}, {number}), got {x0.shape}"
-        )
     if policy is not None and not system.m:
         raise ValueError(f"policy must be left out: {system.name} has no inputs")
     m = system.m
@@ -140,10 +136,7 @@ def _viewed(system: Any, start: np.ndarray, value: Any, asked: bool) -> System:
         # One number a trajectory is a single input.
         single = np.ndim(value) == 0 or (asked and value.shape == start.shape[1:])
         u = np.zeros(1 if single else len(value))
-    try:
-        return as_system(system, x, u)
-    except (TypeError, ValueError) as error:  # in the words of monte_carlo
-        raise type(error)(str(error).replace("u0", "policy")) from error
+    return as_system(system, x, u, names=("x0", "policy"))
 
 
 def _check_noise(noise: HeldNoise, period: float, q: int) -> None:
