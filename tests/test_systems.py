@@ -244,7 +244,10 @@ def test_a_column_is_a_state_as_sympy_and_matrix_products_write_it():
     def columns(x, u):  # a batch of columns, shape (n, 1, N)
         return (A @ x + B @ u)[:, None]
 
-    run = sb.simulate(product, [1.0, 0.0], lambda x, t: [-x[1]], times=[0.0, 2.0])
+    def policy(x, t):
+        return -np.array([[0.0, 1.0]]) @ x.reshape(2, 1)
+
+    run = sb.simulate(product, [1.0, 0.0], policy, times=[0.0, 2.0])
     closed = scipy.linalg.expm(2.0 * (A - B @ [[0.0, 1.0]]))[:, 0]
     np.testing.assert_allclose(run.states[:, -1], closed, rtol=1e-5)
     assert not sb.as_system(product, X, U).batched
