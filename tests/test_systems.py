@@ -236,6 +236,8 @@ def test_a_ragged_return_is_explained():
 class Metres:
     """A number with a unit, which no array of floats takes."""
 
+    shape = ()
+
     def __init__(self, value):
         self.value = value
 
