@@ -27,3 +27,16 @@ def drawn(block, rng):
     )  # fmt: skip
     ends = run.states[0, :, -1]
     return [ends.sum(), (ends**2).sum()]
+
+
+def gusty(number, seed=3, **options):
+    """Simulate particles under gusts, by monte_carlo."""
+    noise = sb.HeldNoise.white(0.5, 0.1, seed=seed)
+    return sb.monte_carlo(
+        sb.Particle(), [0, 0], number=number, period=0.1, duration=0.5, disturbance=noise,
+        G=[[0], [1]], **{"progress": False, **options},
+    )  # fmt: skip
+
+
+def leaping(x):
+    return x**2
