@@ -274,6 +274,8 @@ def shaped(name: str, value: Any, m: int, batch: tuple[int, ...]) -> np.ndarray:
         raise TypeError(f"{name} must be real numbers, got {value!r}")
     if m == 1 and value.shape in ((), batch):
         value = value[None]
+    elif value.shape == (m, 1) and not batch:  # a column, as K @ x.reshape(n, 1) is
+        value = value[:, 0]
     if value.shape not in ((m,), (m, *batch)):
         allowed = f"({m},)" + (f" or ({m}, {batch[0]})" if batch else "")
         raise ValueError(f"{name} must have shape {allowed}, got {value.shape}")

@@ -173,7 +173,8 @@ def as_system(
     Parameters
     ----------
     system : library model, function, control.NonlinearIOSystem or control.StateSpace
-        A function is f(x), f(x, u) or f(x, u, t). A System is returned as it is.
+        A function is f(x), f(x, u) or f(x, u, t); it may return a column (n, 1). A System is
+        returned as it is.
     x0, u0 : array, shape (n,) or (n, N) and (m,) or (m, N), optional
         An example state and input. A function needs x0 to know n; without u0 it is asked how
         many inputs it takes.
@@ -291,7 +292,9 @@ def _from_function(
     timed = driven and accepted == 3
 
     def call(x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
-        return copied(f(x, u, t) if timed else f(x, u) if driven else f(x))
+        value = copied(f(x, u, t) if timed else f(x, u) if driven else f(x))
+        # A column for a state, as a SymPy matrix or a matrix product makes it.
+        return value[:, 0] if value.ndim == x.ndim + 1 and value.shape[1] == 1 else value
 
     def rate(x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
         return call(x.copy(), u.copy(), t)  # f must not change the caller's arrays
