@@ -12,9 +12,13 @@ import numpy as np
 
 from statebook._validate import brief
 
-_TIME = re.compile(r"_*(t|time)(_\w*)?")  # t, time, _t, time_s
 _TIMES = (0.0, 1e-3, 0.7310586, 4.269, 61.803, 2718.28)
 _INPUTS = 12  # up to which the number of a function's inputs is looked for
+
+
+def is_time(name: str) -> bool:
+    """Whether an argument of this name is a time: t, time, _t, time_s."""
+    return re.fullmatch(r"_*(t|time)(_\w*)?", name) is not None
 
 
 def arguments_of(f: Callable[..., Any]) -> tuple[int, int]:
@@ -43,7 +47,7 @@ def arguments_of(f: Callable[..., Any]) -> tuple[int, int]:
         required = sum(p.default is p.empty for p in kinds)
         variadic = any(p.kind is p.VAR_POSITIONAL for p in parameters)
     given = ", ".join(names)
-    times = [_TIME.fullmatch(name) for name in names]
+    times = [is_time(name) for name in names]
     if len(names) > 1 and (times[0] or (required == 2 and times[1])):
         order = "x, u, t" if len(names) > 2 else "x, t"
         raise TypeError(
@@ -56,7 +60,7 @@ def arguments_of(f: Callable[..., Any]) -> tuple[int, int]:
             f"a system's function must take (x), (x, u) or (x, u, t), got {required} required"
             " arguments; bind the others first (functools.partial)"
         )
-    timed = len(names) > 2 and (required == 3 or bool(times[2]))
+    timed = len(names) > 2 and (required == 3 or times[2])
     accepted = 2 if variadic else 3 if timed else min(len(names), 2)
     return max(required, 1), accepted
 
