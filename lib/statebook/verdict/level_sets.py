@@ -48,7 +48,11 @@ def boundary_distance(A: np.ndarray, discrete: bool, enough: float = 0.0) -> flo
     A = A / unit
     eigenvalues = np.linalg.eigvals(A)
     nearest = eigenvalues[np.argsort(margin(eigenvalues, discrete))[:_STARTS]]
-    best, where = _lowest(A, np.unique(project(nearest, discrete)))
+    best, where = np.inf, 0j
+    for start in dict.fromkeys(project(nearest, discrete).tolist()):
+        best, where = min((best, where), _lowest(A, np.array([start])), key=lambda found: found[0])
+        if unit * best <= enough:
+            return unit * best
     while unit * best > enough:
         # Invariant: best = sigma_min at the boundary point `where`; the level is just below it.
         crossings = _level_set(A, best * (1 - _BELOW), discrete)
@@ -58,25 +62,25 @@ def boundary_distance(A: np.ndarray, discrete: bool, enough: float = 0.0) -> flo
         if value >= best * (1 - _BELOW):
             break
         best, where = value, point
-    return unit * (best if unit * best <= enough else min(best, _polish(A, where, best, discrete)))
+    return unit * min(best, _polish(A, where, best, discrete))
 
 
 def is_near_boundary(A: np.ndarray, discrete: bool, radius: float) -> bool:
-    """Whether a stable matrix has an unstable one within radius; None beyond is a proof.
+    """Whether a perturbation within radius puts an eigenvalue on the boundary; if not, by proof.
 
-    The proof is Lyapunov's: where P solves ``T^H P + P T = -R`` (``T^H P T - P = -R`` for maps)
-    and T is stable, T + E is too if R is larger than what norm(E) <= radius adds. It costs a
-    triangular equation, and however P was computed, R is what counts. Level sets have the last
-    word where it falls short.
+    Lyapunov's: where ``T^H P + P T = -R`` (``T^H P T - P = -R`` for maps) with R > 0 no
+    eigenvalue of T is there, nor of T + E if R is larger than what norm(E) <= radius adds. It
+    costs a triangular equation, and however P was computed, R is what counts. Level sets have
+    the last word where it falls short.
     """
     T = scipy.linalg.schur(A, output="complex")[0] if np.tril(A, -1).any() else A.astype(complex)
     with np.errstate(all="ignore"):
-        proved = np.all(margin(T.diagonal(), discrete) > 0) and _keeps_stable(T, discrete, radius)
+        proved = np.all(margin(T.diagonal(), discrete)) and _stays_off(T, discrete, radius)
     return not proved and boundary_distance(T, discrete, radius) <= radius
 
 
-def _keeps_stable(T: np.ndarray, discrete: bool, radius: float) -> bool:
-    """Whether Lyapunov's P for R = I proves that a stable triangular T stays so."""
+def _stays_off(T: np.ndarray, discrete: bool, radius: float) -> bool:
+    """Whether P for R = I proves that T, triangular, keeps off the boundary."""
     n, one = len(T), np.eye(len(T))
     F, C = T, one
     if discrete:
@@ -86,9 +90,10 @@ def _keeps_stable(T: np.ndarray, discrete: bool, radius: float) -> bool:
     X, scale, _ = scipy.linalg.lapack.ztrsyl(F, F, -C, trana="C")
     P = (X + X.conj().T) / (2 * scale)
     R = P - T.conj().T @ P @ T if discrete else -T.conj().T @ P - P @ T
-    size = float(np.linalg.norm(T))
+    # A bound of the 2-norm of T with its entries made positive, which bounds rounding in R.
+    size = float(np.linalg.norm(T, 1) * np.linalg.norm(T, np.inf)) ** 0.5
     growth = 2 * size + radius if discrete else 2.0
-    blur = growth * radius + 8 * n * EPS * (1 + size**2 if discrete else size)
+    blur = growth * radius + 4 * n * EPS * (1 + size**2 if discrete else size)
     return bool(np.linalg.norm(R - one) + blur * np.linalg.norm(P) < 1)
 
 
