@@ -48,21 +48,22 @@ def boundary_distance(A: np.ndarray, discrete: bool, enough: float = 0.0) -> flo
     A = A / unit
     eigenvalues = np.linalg.eigvals(A)
     nearest = eigenvalues[np.argsort(margin(eigenvalues, discrete))[:_STARTS]]
-    best, where = np.inf, 0j
-    for start in dict.fromkeys(project(nearest, discrete).tolist()):
-        best, where = min((best, where), _lowest(A, np.array([start])), key=lambda found: found[0])
+    starts = dict.fromkeys(project(nearest, discrete).tolist())
+    best = np.inf
+    for start in starts:
+        best = min(best, _lowest(A, np.array([start])))
         if unit * best <= enough:
-            return unit * best
+            break
     while unit * best > enough:
-        # Invariant: best = sigma_min at the boundary point `where`; the level is just below it.
+        # Invariant: best is sigma_min at a point of the boundary; the level is just below it.
         crossings = _level_set(A, best * (1 - _BELOW), discrete)
         if len(crossings) == 0:
             break  # certainly the minimum
-        value, point = _lowest(A, _midpoints(crossings, discrete))
+        value = _lowest(A, _midpoints(crossings, discrete))
         if value >= best * (1 - _BELOW):
             break
-        best, where = value, point
-    return unit * min(best, _polish(A, where, best, discrete))
+        best = value
+    return unit * best
 
 
 def is_near_boundary(A: np.ndarray, discrete: bool, radius: float) -> bool:
@@ -97,11 +98,9 @@ def _stays_off(T: np.ndarray, discrete: bool, radius: float) -> bool:
     return bool(np.linalg.norm(R - one) + blur * np.linalg.norm(P) < 1)
 
 
-def _lowest(A: np.ndarray, points: np.ndarray) -> tuple[float, complex]:
+def _lowest(A: np.ndarray, points: np.ndarray) -> float:
     shifted = A - points[:, None, None] * np.eye(len(A))
-    values = np.linalg.svd(shifted, compute_uv=False)[:, -1]
-    k = int(np.argmin(values))
-    return float(values[k]), complex(points[k])
+    return float(np.linalg.svd(shifted, compute_uv=False)[:, -1].min())
 
 
 def _level_set(A: np.ndarray, level: float, discrete: bool) -> np.ndarray:
@@ -124,18 +123,3 @@ def _midpoints(positions: np.ndarray, discrete: bool) -> np.ndarray:
     if len(positions) == 1:
         return 1j * positions
     return 1j * (positions[1:] + positions[:-1]) / 2
-
-
-def _polish(A: np.ndarray, where: complex, best: float, discrete: bool) -> float:
-    """Descend to the bottom of the valley that the level sets have found."""
-    start = np.angle(where) if discrete else where.imag
-
-    def value(position: float) -> float:
-        point = np.exp(1j * position) if discrete else 1j * position
-        return _lowest(A, np.array([point]))[0]
-
-    width = max(best, np.sqrt(_BELOW))
-    found = scipy.optimize.minimize_scalar(
-        value, bounds=(start - width, start + width), method="bounded", options={"xatol": 1e-9}
-    )
-    return float(found.fun)
