@@ -216,9 +216,7 @@ def _judged(number: int, block: Block, group: Group, discrete: bool) -> Cluster:
 
 def _is_single(N: np.ndarray, radius: float) -> bool:
     """Whether N is nilpotent to within radius: null vector by null vector, by staircase."""
-    largest = np.abs(N).max()
-    if largest <= radius / len(N):
-        return True
+    largest = np.abs(N).max() + TINY
     N, radius = N / largest, radius / largest
     size = len(N) ** 0.5 * radius
     # With N - E nilpotent trace(N^2) is trace(E (2 N - E)), and norm_F(E) at most this size.
