@@ -698,3 +698,9 @@ def test_what_is_missing_or_no_number_is_refused():
         sb.critical_sample_time([[-1.0]], [[1.0]], [[10**400]])
     with pytest.raises(ValueError, match="finite"):
         sb.stability([[Decimal("nan")]])
+
+
+def test_a_mode_that_rests_is_not_damped():
+    still, decaying = sb.stability([[0.0, 0.0], [0.0, -2.0]]).modes
+    assert (still.damping, still.frequency, still.time_constant) == (0, 0, np.inf)
+    assert (decaying.damping, decaying.frequency, decaying.time_constant) == (1, 2, 0.5)

@@ -3,6 +3,7 @@
 from fractions import Fraction
 
 import control
+import mpmath
 import numpy as np
 import pytest
 import scipy
@@ -424,3 +425,22 @@ def test_reports_for_a_page():
     assert r"a\<b\|c\_d" in sb.stability(names).to_markdown()
     empty = sb.stability(np.zeros((0, 0)))
     assert "nothing that could grow" in empty.to_markdown() and empty._repr_html_()
+
+
+def test_what_is_blurred_inside_leaves_no_doubt_about_what_is_on_the_boundary():
+    """A chain at -0.15 is thrown by 0.05, and a bound of the throw reaches across: a proof not."""
+    Q = orthogonal(10, 3)
+    A = scipy.linalg.block_diag(Q @ jordan(-0.15, 10) @ Q.T, [[0.0]])
+    report = sb.stability(A)
+    assert report.verdict == MARGINAL and UNDECIDABLE not in report.reason
+
+
+def test_long_arithmetic_finds_roots_only_where_double_precision_leaves_a_doubt(monkeypatch):
+    tiny = sb.stability([[F(-1, 10**400)]])
+    assert tiny.verdict == STABLE and tiny.spectral_margin == 5e-324
+    monkeypatch.setattr(mpmath, "polyroots", None)
+    companion = [[0, 1, 0], [0, 0, 1], [-6, -11, -6]]
+    assert sb.stability(companion).spectral_margin == pytest.approx(1, rel=1e-12)
+    halves = [[F(x, 12) for x in row] for row in [[6, 1, 0], [0, 4, 1], [0, 0, -3]]]
+    assert sb.stability(halves, dt=True).spectral_margin == pytest.approx(0.5, rel=1e-12)
+    assert sb.stability([[F(1, 2), 5], [0, F(-1, 2)]]).spectral_margin == pytest.approx(-0.5)
