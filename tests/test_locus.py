@@ -410,3 +410,6 @@ def test_a_feedthrough_bounds_the_gain():
     plant = control.ss([[-1.0]], [[1.0]], [[0.0]], [[-0.5]])
     low, high = sb.stability(plant).margins().gain
     assert low == 0 and high < 2 and high == pytest.approx(2, rel=1e-8)
+    # 1 + k (0.5 - 1 / (s + 1)) = 0 has its root at 0 for k = 2.
+    plant = control.ss([[-1.0]], [[1.0]], [[-1.0]], [[0.5]])
+    assert sb.stability(plant).margins().gain == pytest.approx((0, 2))
