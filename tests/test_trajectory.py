@@ -2,6 +2,7 @@
 
 import copy
 import dataclasses
+import functools
 import pickle
 
 import control
@@ -448,12 +449,10 @@ def test_between_samples_the_solvers_own_output(method, batch):
 @pytest.mark.parametrize("method", ["RK45", "DOP853", "Radau"])
 def test_the_event_that_ends_a_run_is_a_sample_like_others(method):
     for height in np.linspace(-1.4, -0.4, 6):
-
-        def hit(x, height=height):
-            return x[0] - height
-
-        hit.terminal = True
-        run = sb.simulate(sb.Pendulum(), [0.0, 0.0], duration=9.0, events=hit, method=method)
+        above = functools.partial(lambda height, x: x[0] - height, height)
+        above.terminal = True
+        run = sb.simulate(sb.Pendulum(), [0.0, 0.0], duration=9.0, events=above, method=method)
+        assert len(run.events) == 1
         assert np.array_equal(run(run.times[-1]), run.states[:, -1])
         between = run.times[-2:].mean()
         both = run([between, run.times[-1]])
