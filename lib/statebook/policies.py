@@ -59,7 +59,7 @@ class Control:
         plan = self.plan
         marks = switches if plan is None else np.union1d(switches, plan.breakpoints)
         slack = 1e-12 * max(abs(start), abs(end), end - start)
-        inside = marks[(marks > start + slack) & (marks < end - slack)]
+        inside = marks[(marks > start) & (marks < end - slack)]
         inside = inside[np.diff(inside, prepend=start) > slack]
         cuts = np.array([start, *inside.tolist(), end])
         ends = itertools.pairwise(cuts.tolist())
