@@ -20,6 +20,7 @@ WORDS = {"caption": "Figure 1. A sine.", "alt": "a sine wave & its <zeros>"}
 @pytest.fixture(autouse=True)
 def no_window():
     plt.switch_backend("agg")
+    plt.close("all")  # others may have left some open
     yield
     assert plt.get_fignums() == []
 
@@ -182,3 +183,21 @@ def test_bad_times(times):
 
 def test_is_public():
     assert sb.plotting.explore is explore
+
+
+def test_axes_stay_where_they_are_unless_a_label_needs_more_room():
+    axes = []
+
+    def draw(top):
+        with plt.rc_context({"figure.constrained_layout.use": True}):
+            axes.append(plt.subplots()[1])
+        axes[-1].set(ylim=(0, top), title=f"{top} m", ylabel="height [m]")
+        axes[-1].set_yticks([0, top], ["0", str(top)])
+
+    explore(draw, top=[1, 2, 1_000_000], **WORDS)
+    left = [ax.get_position(original=True).x0 for ax in axes]
+    assert left[0] == left[1]
+    assert left[2] > left[0] + 0.05
+    alone = explore(draw, top=[1_000_000, 2_000_000], **WORDS)
+    assert alone.frames[0] != alone.frames[1]
+    assert axes[-2].get_position(original=True).x0 == pytest.approx(left[2], abs=1e-3)
