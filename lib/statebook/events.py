@@ -11,7 +11,7 @@ import scipy
 
 from statebook import _validate
 from statebook.policies import valued
-from statebook.probes import TIME, positional
+from statebook.probes import is_time, positional
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class Watch:
         self.label, self._function = label, function
         names = (positional(function) or ([], 0, False))[0]
         # SciPy's order is told by the names: f(t, y).
-        self._time_first = bool(names) and names[0] in TIME
+        self._time_first = bool(names) and is_time(names[0])
         self._number = 1 if len(names) == 1 else 2
         given = getattr(function, "terminal", None)
         terminal = np.asarray(given or 0)  # None and 0 are False, as in SciPy

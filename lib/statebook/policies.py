@@ -17,7 +17,7 @@ from statebook import _validate
 from statebook.control_trajectory import ControlTrajectory
 from statebook.dense_output import Steps
 from statebook.errors import outside_domain
-from statebook.probes import TIME, arguments_of, number_of_inputs, positional, takes_batches
+from statebook.probes import arguments_of, is_time, number_of_inputs, positional, takes_batches
 from statebook.systems import System
 from statebook.times import interval_of
 
@@ -59,7 +59,7 @@ class Control:
         plan = self.plan
         marks = switches if plan is None else np.union1d(switches, plan.breakpoints)
         slack = 1e-12 * max(abs(start), abs(end), end - start)
-        inside = marks[(marks > start + slack) & (marks < end - slack)]
+        inside = marks[(marks > start) & (marks < end - slack)]
         inside = inside[np.diff(inside, prepend=start) > slack]
         cuts = np.array([start, *inside.tolist(), end])
         ends = itertools.pairwise(cuts.tolist())
@@ -170,7 +170,7 @@ def as_plan(name: str, u: Any) -> Any:
     if not callable(u) or isinstance(u, ControlTrajectory):
         return u
     names, required, variadic = positional(u) or (["x", "t"], 2, False)
-    if required <= 2 and (len(names) > 1 or variadic) and not {*names[:1]} & {*TIME}:
+    if required <= 2 and (len(names) > 1 or variadic) and not any(map(is_time, names[:1])):
         return u
     given = ", ".join(names)
     raise TypeError(
@@ -285,6 +285,8 @@ def shaped(name: str, value: Any, m: int, batch: tuple[int, ...]) -> np.ndarray:
         raise TypeError(f"{name} must be real numbers, got {value!r}")
     if m == 1 and value.shape in ((), batch):
         value = value[None]
+    elif value.shape == (m, 1) and not batch:  # a column, as K @ x.reshape(n, 1) is
+        value = value[:, 0]
     if value.shape not in ((m,), (m, *batch)):
         allowed = f"({m},)" + (f" or ({m}, {batch[0]})" if batch else "")
         raise ValueError(f"{name} must have shape {allowed}, got {value.shape}")

@@ -177,7 +177,8 @@ def as_system(
     Parameters
     ----------
     system : library model, function, control.NonlinearIOSystem or control.StateSpace
-        A function is f(x), f(x, u) or f(x, u, t). A System is returned as it is.
+        A function is f(x), f(x, u) or f(x, u, t); it may return a column (n, 1). A System is
+        returned as it is.
     x0, u0 : array, shape (n,) or (n, N) and (m,) or (m, N), optional
         An example state and input. A function needs x0 to know n; without u0 it is asked how
         many inputs it takes.

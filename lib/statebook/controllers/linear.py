@@ -375,7 +375,7 @@ class LQR:
         # C x - r, as C Nx = I: the way round a circle included.
         error = self.C @ self.error(y, t)[:n]
         z = unwound(error, u, self.K[:, n:], self.limit)
-        return np.concatenate([motion, y[n:] + z if system.discrete else z + 0 * y[n:]])
+        return np.concatenate([motion, y[n:] + z if system.discrete else z])
 
 
 def at_rest_at(target: Any) -> tuple[np.ndarray, np.ndarray]:

@@ -239,7 +239,7 @@ class PID:
         u = self._control(y, x, z, f, limit)
         error = linear.unwound(y - linear.columns(self.target, y), u, self.gains[1], limit)
         motion, step = np.asarray(system.rate(x, u + d, t)), self._step()
-        memory = [z + step * error if step else error + 0 * z]
+        memory = [z + step * error if step else error]
         if self.filter_time is not None:
             left = np.exp(-step / self.filter_time)
             memory.append(y + left * (f - y) if step else (y - f) * self._pace())

@@ -87,7 +87,7 @@ class SwingUp:
     def _require_growth(self) -> None:
         """Try the full torque on the model, at rest at angles from the bottom to the top."""
         pendulum = self.pendulum
-        angles = np.linspace(0.0, np.pi, _ANGLES + 2)[1:-1]
+        angles = np.linspace(0.0, np.pi, _ANGLES)[1:-1]
         start = np.stack([-np.pi / 2 - angles, 0.0 * angles])
         start = start[:, ~self._caught(start)]
         # No torque within the limit carries a swing higher than the full one.
@@ -123,7 +123,7 @@ class SwingUp:
 _SETTLING = 8.0  # [s] after the switch, in which the trial must come to rest
 _SETTLED = 0.01  # [rad], [rad/s]
 _SAMPLES = 401
-_ANGLES = 60
+_ANGLES = 62  # the bottom and the top among them
 _START = 0.01  # of the height of the top, below which the torque starts the swing
 _PERIODS = 2  # of small swings: within them the longest of these half swings ends
 

@@ -122,6 +122,7 @@ class Session(NotebookClient):
             record_timing=False,
             coalesce_streams=False,
             iopub_timeout=60,
+            startup_timeout=10**9,  # by a clock that may be set; `start` has a better one
             timeout_func=lambda cell: settings.timeout,
             resources={"metadata": {"path": str(folder)}},
             on_cell_executed=self._remember,
@@ -164,7 +165,7 @@ class Session(NotebookClient):
             kept = {name: value for name, value in os.environ.items() if not _DROPPED.match(name)}
             environment = {**kept, **_FIXED, **self.settings.env}
             await self.async_start_new_kernel(env=environment, stderr=subprocess.DEVNULL)
-            await self.async_start_new_kernel_client()
+            await asyncio.wait_for(self.async_start_new_kernel_client(), 60)
             if language == "python":
                 package = Path(__file__).parent
                 await self._silently(_LOAD.format(str(package / "__init__.py"), str(package)))
@@ -248,8 +249,7 @@ class Session(NotebookClient):
                 "the kernel died while executing this cell: the system killed it, as it does "
                 "when memory runs out"
             )
-        end = f" (exit code {code})" if code is not None else ""
-        return f"the kernel died while executing this cell{end}"
+        return f"the kernel died while executing this cell (exit code {code})"
 
 
 async def execute(
