@@ -10,6 +10,7 @@
     python3 run.py new NAME                 write analyses/NAME.ipynb, to analyse a model of yours
     python3 run.py slides [NN ...]          make the slides of chapters
     python3 run.py students DIR             write the hand-out, without solutions
+    python3 run.py lite                     build a site whose notebooks run in the browser
 
 Standard library only, in syntax that older Pythons parse, so that they can be turned away.
 """
@@ -291,7 +292,8 @@ def browser_tools():
         "raise SystemExit(0 if f() and not i.find_spec('playwright') else 1)"
     )
     if subprocess.call([str(venv_python()), "-c", code], cwd=str(ROOT / "book")) == 0:
-        pip(["--editable", str(ROOT) + "[browser]"], "installing the driver of a browser")
+        with contextlib.suppress(OSError):  # nothing can be installed in a read-only checkout
+            pip(["--editable", str(ROOT) + "[browser]"], "installing the driver of a browser")
 
 
 def test(arguments):
@@ -340,6 +342,24 @@ def slides(arguments):
     return run(["book/slides.py", *arguments])
 
 
+def lite(arguments):
+    """Build a site in _build/lite whose notebooks run in the browser, but toppra's."""
+    with one_at_a_time("lite"):
+        code, log = pip(["--editable", str(ROOT) + "[lite]"], "installing JupyterLite")
+        if code:
+            fail(explain(log))
+        names = sorted((ROOT / "workbook").glob("**/[0-9]*.ipynb"))
+        skip = [name.relative_to(ROOT).as_posix() for name in names if needs_toppra(name)]
+        print("left out, as toppra does not run in a browser: " + ", ".join(skip))
+        command = ["book/lite.py", *arguments, "--skip", *skip]
+        code, log = watch(command, BUILD / "lite.log", lambda log: "building")
+    if code:
+        fail("no new site was built, the old one stays\n" + "\n".join(log.splitlines()[-9:]))
+    print("serve it, and open http://127.0.0.1:8000/lab/?path=00_start_here.ipynb")
+    print("    python3 -m http.server --bind 127.0.0.1 --directory _build/lite")
+    return 0
+
+
 def new(arguments):
     """Write an analysis notebook for a model of the reader's own."""
     code = run(["-m", "statebook", "new", *arguments])
@@ -361,7 +381,7 @@ def students(arguments):
 
 def main(arguments):
     """Do the job that the first argument names and return the exit code."""
-    jobs = {f.__name__: f for f in (book, test, lab, refresh, new, slides, students)}
+    jobs = {f.__name__: f for f in (book, test, lab, refresh, new, slides, students, lite)}
     if not arguments:
         print(__doc__)
         return 2
