@@ -228,14 +228,17 @@ def run(arguments, cwd=ROOT, output=None):
             pass  # pytest and JupyterLab got it too, and end in their own way
 
 
-def needs_toppra(notebook):
-    """Tell whether a code cell of the notebook calls time_scale or imports toppra."""
+TOPPRA = r"time_scale\(|import toppra\b"
+
+
+def code_has(notebook, pattern):
+    """Tell whether a code cell of the notebook holds the pattern, at the beginning of a word."""
     try:
         cells = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
     except (ValueError, KeyError):
         return False  # the job that reads it next has the better message
     code = "\n".join("".join(c["source"]) for c in cells if c["cell_type"] == "code")
-    return re.search(r"\btime_scale\(|\bimport toppra\b", code) is not None
+    return re.search(r"\b(?:%s)" % pattern, code) is not None
 
 
 def notebooks(pattern):
@@ -243,7 +246,7 @@ def notebooks(pattern):
     names = sorted(n.relative_to(ROOT).as_posix() for n in (ROOT / "workbook").glob(pattern))
     if (site_packages() / "toppra").is_dir():
         return names, []
-    left_out = [name for name in names if needs_toppra(ROOT / name)]
+    left_out = [name for name in names if code_has(ROOT / name, TOPPRA)]
     if left_out:
         print("not executed, as toppra is not installed: " + ", ".join(left_out), flush=True)
     return [name for name in names if name not in left_out], left_out
@@ -349,8 +352,8 @@ def lite(arguments):
         if code:
             fail(explain(log))
         names = sorted((ROOT / "workbook").glob("**/[0-9]*.ipynb"))
-        skip = [name.relative_to(ROOT).as_posix() for name in names if needs_toppra(name)]
-        print("left out, as toppra does not run in a browser: " + ", ".join(skip))
+        skip = [n.relative_to(ROOT).as_posix() for n in names if code_has(n, r"sweep\(|" + TOPPRA)]
+        print("left out, as a browser has no toppra and no processes: " + ", ".join(skip))
         command = ["book/lite.py", *arguments, "--skip", *skip]
         code, log = watch(command, BUILD / "lite.log", lambda log: "building")
     if code:
