@@ -20,6 +20,7 @@ WORDS = {"caption": "Figure 1. A sine.", "alt": "a sine wave & its <zeros>"}
 @pytest.fixture(autouse=True)
 def no_window():
     plt.switch_backend("agg")
+    plt.close("all")  # others may have left some open
     yield
     assert plt.get_fignums() == []
 

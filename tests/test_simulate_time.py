@@ -98,6 +98,14 @@ def test_switches_are_exact_to_rounding():
 
 
 @pytest.mark.parametrize("method", SOLVERS)
+def test_pulses_as_long_as_a_short_interval_between_long_ones(method):
+    times = np.concatenate([[0.0, 4.9], np.arange(5.0, 5.45, 0.1), [10.0]])
+    run = simulate(double_integrator, [0.0, 0.0], pulse(5.17, 5.27), times=times, method=method)
+    # The speed is the pulse's area; 2e-3 is what a solver's step makes of its edges.
+    assert run.states[1, -1] == pytest.approx(10.0, rel=2e-3)
+
+
+@pytest.mark.parametrize("method", SOLVERS)
 def test_a_returned_control_that_the_motion_did_not_feel_is_told(method):
     with pytest.warns(UserWarning, match="control returned at t = 5 is not one that the motion"):
         simulate(double_integrator, [0.0, 0.0], pulse(5, 5.001), duration=10.0, method=method)
@@ -194,6 +202,15 @@ def test_events_after_a_switch_and_under_a_clock():
     )
     assert clocked.times[-1] == pytest.approx(1.0)
     assert clocked.controls.shape == (1, len(clocked.times) - 1)
+    clocked = sb.simulate_clocked(
+        double_integrator,
+        [0, 0],
+        lambda x, t: 2.0,
+        period=0.3,
+        duration=3,
+        events=lambda x, t: t - 0.5,
+    )  # negative at the start, and only there
+    assert [e.time for e in clocked.events] == pytest.approx([0.5])
 
 
 @pytest.mark.parametrize(

@@ -198,6 +198,8 @@ def test_a_time_that_does_not_matter_is_not_asked_for():
         lambda t, x: [x[1], -x[0]],
         lambda t, x, u: [x[1], u[0]],
         lambda time, y: -y,
+        lambda time_s, state: [state[1], -state[0]],
+        lambda t_, x: [x[1], -x[0]],
         lambda x, t: [x[1], -x[0]],
     ],
 )
@@ -229,6 +231,24 @@ def test_a_ragged_return_is_explained():
     for function in (sb.jacobians, sb.linearize, sb.find_equilibrium):
         with pytest.raises(TypeError, match=r"shapes \(\), \(1,\); in row 1 write u\[0\]"):
             function(lambda x, u: [x[1], -np.sin(x[0]) + u], [0.0, 0.0], [0.0])
+
+
+class Metres:
+    """A number with a unit, which no array of floats takes."""
+
+    shape = ()
+
+    def __init__(self, value):
+        self.value = value
+
+    def __array__(self, dtype=None, copy=None):
+        raise ValueError("strip the unit first")
+
+
+def test_numbers_that_make_no_array_are_named():
+    for function in (sb.jacobians, sb.linearize, sb.find_equilibrium):
+        with pytest.raises(TypeError, match=r"one number for each state, got .*strip the unit"):
+            function(lambda x: [Metres(x[1]), Metres(-x[0])], [0.0, 0.0])
 
 
 def test_a_column_is_a_state_as_sympy_and_matrix_products_write_it():

@@ -89,10 +89,11 @@ def number(name: str, value: Any) -> float:
     if isinstance(value, np.ndarray):
         if value.ndim:
             raise TypeError(f"{name} must be a single number, got an array of shape {value.shape}")
-        value = value.item()
+        value = value[()]
     if isinstance(value, bool | np.bool_) or not isinstance(value, numbers.Real):
         raise TypeError(f"{name} must be a real number, got {value!r}")
-    result = float(value)
+    # 0.1 of single precision means 0.1, not 0.10000000149: ticks of clocks depend on it.
+    result = float(str(value) if isinstance(value, np.float32 | np.float16) else value)
     if not np.isfinite(result):
         raise ValueError(f"{name} must be finite, got {result}")
     return result

@@ -144,7 +144,16 @@ def _judged(
             return "there is nothing to compare, got an empty array", ""
         if np.isnan(value).any() or np.isnan(expected).any():
             return f"{value} {relation} {expected} does not hold: NaN is no result", ""
-        agree = bool(np.all(np.isclose(value, expected, rtol=rtol, atol=atol)))
+        try:
+            if rtol == atol == 0:  # isclose would round large integers
+                agree = bool(np.all(value == expected))
+            else:
+                agree = bool(np.all(np.isclose(value, expected, rtol=rtol, atol=atol)))
+        except ValueError:
+            raise ValueError(
+                f"{name}: value and expected must broadcast, got the shapes {value.shape} and"
+                f" {expected.shape}"
+            ) from None
     if relation in "<>":
         holds = bool(np.all(value < expected if relation == "<" else value > expected))
     else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bisect
+import inspect
 import itertools
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -17,7 +18,7 @@ from statebook import _validate
 from statebook.control_trajectory import ControlTrajectory
 from statebook.dense_output import Steps
 from statebook.errors import outside_domain
-from statebook.probes import arguments_of, number_of_inputs, takes_batches
+from statebook.probes import arguments_of, is_time, number_of_inputs, takes_batches
 from statebook.systems import System
 from statebook.times import interval_of
 
@@ -160,9 +161,31 @@ def at_start(name: str, function: Callable[..., Any], x: np.ndarray, t: float) -
     return np.array(_validate.real_array(name, value))
 
 
-def as_plan(u: Any) -> Any:
-    """A SciPy piecewise polynomial as a control trajectory; anything else as it is."""
-    return ControlTrajectory.from_ppoly(u) if isinstance(u, scipy.interpolate.PPoly) else u
+def as_plan(name: str, u: Any) -> Any:
+    """A SciPy piecewise polynomial as a control trajectory; anything else as it is.
+
+    A function must take (x, t): in another order it would give wrong numbers in silence.
+    """
+    if isinstance(u, scipy.interpolate.PPoly):
+        return ControlTrajectory.from_ppoly(u)
+    if not callable(u) or isinstance(u, ControlTrajectory):
+        return u
+    try:
+        signature = inspect.signature(u)
+    except (TypeError, ValueError):  # built in C: nothing to read
+        return u
+    names = list(signature.parameters)
+    try:
+        signature.bind(None, None)
+        fits = not is_time(names[0])
+    except TypeError:
+        fits = False
+    if not fits:
+        given = ", ".join(names)
+        raise TypeError(
+            f"{name} must take (x, t), got a function of ({given}); write lambda x, t: f({given})"
+        )
+    return u
 
 
 def example_input(

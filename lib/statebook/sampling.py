@@ -76,7 +76,9 @@ def discretize(
             raise ValueError(
                 f"prewarp must be below pi/dt = {np.pi / dt:.4g} rad/s, got {prewarp:.4g}"
             )
-    sys = _state_space(sys)
+    sys = state_space(sys)
+    if _validate.is_discrete(sys.dt):
+        raise ValueError(f"sys must be in continuous time, got one with dt = {sys.dt}")
     scipys_name = "backward_diff" if method == "backward_euler" else method
     try:
         with np.errstate(all="ignore"):
@@ -218,16 +220,15 @@ def _require_finite(E: np.ndarray) -> None:
         raise ValueError("dt must be shorter: exp(A dt) exceeds the largest floating-point number")
 
 
-def _state_space(sys: Any) -> control.StateSpace:
+def state_space(sys: Any) -> control.StateSpace:
+    """Return a system that declares itself linear in python-control's form."""
     import control
 
-    system = as_system(sys)
-    if system.discrete:
-        raise ValueError(f"sys must be in continuous time, got one with dt = {system.dt}")
+    plain = callable(sys) and not hasattr(sys, "dynamics")
+    if plain or not (system := as_system(sys)).linear:
+        raise ValueError("sys must be linear; call linearize(sys, x0, u0) first")
     if isinstance(sys, control.StateSpace):
         return sys
-    if not system.linear:
-        raise ValueError("sys must be linear; call linearize(sys, x0, u0) first")
     result = linearize(system, np.zeros(system.n))
     result.name = system.name
     return result

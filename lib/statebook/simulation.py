@@ -127,7 +127,7 @@ def simulate(
     np.float64(1.0)
     """
     x0 = _state(x0)
-    u = as_plan(u)
+    u = as_plan("u", u)
     given = None if times is None else increasing("times", times, minimum=1)
     start = float(given[0]) if given is not None else 0.0
     if given is None and duration is None and isinstance(u, ControlTrajectory):
@@ -229,7 +229,7 @@ def simulate_clocked(
     duration = _validate.positive("duration", duration)
     samples = _validate.integer("samples", samples, 1)
     delay = _validate.non_negative("delay", delay)
-    x0, policy = _state(x0), as_plan(policy)
+    x0, policy = _state(x0), as_plan("policy", policy)
     solver = _solver(method, rtol, atol, max_step, max_steps, len(x0))
     count = int(np.ceil(duration / period * (1 - 1e-12)))
 
@@ -350,9 +350,10 @@ def _checked(
     return system if agrees else replace(system, batched=False)
 
 
-def _require_whole(name: str, spans: Any, system: System, got: str) -> None:
+def _require_whole(name: str, spans: Any, system: System, got: str, rounding: float = 1e-9) -> None:
     dt = float(system.dt or 1)
-    if np.any(np.abs(spans - np.round(spans / dt) * dt) > 1e-9 * np.maximum(dt, np.abs(spans))):
+    allowed = np.minimum(rounding * np.maximum(dt, np.abs(spans)), 0.01 * dt)
+    if np.any(np.abs(spans - np.round(spans / dt) * dt) > allowed):
         raise ValueError(f"{name} must be whole samples of dt = {dt:g}{got}")
 
 
@@ -361,7 +362,8 @@ def _times(given: np.ndarray | None, duration: Any, start: float, system: System
         raise ValueError("give either duration or times" + (", not both" if duration else ""))
     if given is not None:
         if system.discrete:
-            _require_whole("times", given - start, system, f" apart, got {given}")
+            # They become ticks: those of single precision may be as far from them.
+            _require_whole("times", given - start, system, f" apart, got {given}", 1e-6)
         return given
     duration = _validate.positive("duration", duration)
     if not system.discrete:

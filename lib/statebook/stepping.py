@@ -103,6 +103,8 @@ class Flow:
 
     def _failed(self, error: Exception, x: np.ndarray, what: str, t: float) -> np.ndarray:
         """NaN where a function left its domain; else the caller's own error."""
+        if isinstance(error, StopIteration):  # would end a generator in silence
+            raise RuntimeError(f"{what} had no further value at t = {t:.6g}") from error
         if not outside_domain(error) and np.isfinite(x).all():
             if self.error is not error and hasattr(error, "add_note"):  # Python 3.11
                 error.add_note(f"in simulate, at t = {t:.6g}, x = {np.array2string(x)}")
@@ -128,7 +130,6 @@ def fixed_steps(flow: Flow, steps: Steps, stretches: Iterable[Stretch], method: 
 
         t = start
         while t < min(end, last):
-            flow.trouble = ""
             x, target = steps.state, min(steps.times[steps.taken], end)
             try:
                 x_next = step(rate, x, t, target - t)
@@ -136,7 +137,7 @@ def fixed_steps(flow: Flow, steps: Steps, stretches: Iterable[Stretch], method: 
                 raise StoppedError(flow.trouble or str(error), t, x) from None
             if not np.isfinite(x_next).all():
                 raise StoppedError(flow.trouble or "the next state is not finite", t, x)
-            t = target
+            t, flow.trouble = target, ""
             steps.advance(t, x_next)
 
 
@@ -200,7 +201,6 @@ class Solver:
             def fast(t: float, y: np.ndarray, policy: Policy = policy) -> np.ndarray:
                 return flow(y.reshape(shape), policy, t).ravel() if batch else flow(y, policy, t)
 
-            flow.trouble = ""
             y = self._flat(steps.state)
             slope = rate(start, y)
             # A solver that cannot choose its first step would look for it forever.
@@ -228,6 +228,7 @@ class Solver:
                 if count % _CHECK_EVERY == 0:
                     self._check_pace(steps, last, count, mark)
                     mark = steps.time
+            flow.trouble = ""
 
     def _start(
         self, rate: Any, t: float, y: np.ndarray, end: float, shape: tuple[int, ...], first: float

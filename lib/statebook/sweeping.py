@@ -195,7 +195,8 @@ def _shape(grid: Any) -> tuple[int, ...]:
     if not isinstance(grid, Mapping):
         raise TypeError(f"grid must map parameters to their values, got {type(grid).__name__}")
     for name, values in grid.items():
-        sized = hasattr(values, "__len__") and getattr(values, "ndim", 1) > 0
+        # A set has no order that results could follow.
+        sized = hasattr(values, "__getitem__") and getattr(values, "ndim", 1) > 0
         if isinstance(values, str | bytes) or not sized:
             raise TypeError(f"grid must hold a sequence of values of {name}, got {values!r}")
     shape = tuple(len(values) for values in grid.values())
@@ -218,9 +219,10 @@ def _entropy(function: Any, grid: Mapping[str, Any], seed: int | None) -> tuple[
     if not callable(function):
         raise TypeError(f"function must be callable, got {function!r}")
     try:
-        wants = "rng" in inspect.signature(function).parameters and "rng" not in grid
+        rng = inspect.signature(function).parameters.get("rng")
     except (TypeError, ValueError):  # built in C: nothing to read
-        wants = False
+        rng = None
+    wants = rng is not None and "rng" not in grid
     if name := generator_outside(function):
         raise ValueError(
             f"function must not draw from the generator {name} outside of it: each process"
@@ -228,6 +230,8 @@ def _entropy(function: Any, grid: Mapping[str, Any], seed: int | None) -> tuple[
         )
     if seed is not None and not wants:
         raise TypeError("seed is for a function with a parameter rng, which this one has not")
+    if seed is None and wants and rng is not None and rng.default is rng.empty:
+        raise TypeError("seed is required for a function with a parameter rng: give an integer")
     if seed is None:
         return int.from_bytes(np.random.default_rng().bytes(16), "little"), False
     return _validate.integer("seed", seed), True

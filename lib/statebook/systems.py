@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from statebook import _validate
+from statebook import _validate, rates
 from statebook.models.base import Model
 from statebook.probes import (
     arguments_of,
-    copied,
     depends_on_time,
     number_of_inputs,
     require_pure,
@@ -207,6 +207,8 @@ def as_system(
     >>> system.n, system.m, system.batched
     (2, 1, True)
     """
+    if isinstance(system, type):
+        raise TypeError(f"system must be an instance, got the class {system.__name__}")
     if isinstance(system, System):
         result = system
     elif hasattr(system, "to_nlsys") and hasattr(system, "dynamics"):
@@ -233,7 +235,7 @@ def _from_model(model: Any) -> System:
     plain = getattr(type(model), "dynamics", None) is Model.dynamics
     f = model.rate if plain else model.dynamics  # dynamics checks once more what System does
     return System(
-        rate=lambda x, u, t: f(x, u),
+        rate=partial(rates.of_model, f),
         states=tuple(model.states),
         inputs=tuple(model.inputs),
         linear=getattr(model, "linear", False),
@@ -245,15 +247,12 @@ def _from_model(model: Any) -> System:
 def _from_control(sys: Any) -> System:
     import control
 
+    rates.make_portable(control.StateSpace)
+    rate: Any
     if isinstance(sys, control.StateSpace):
-        A, B = np.asarray(sys.A), np.asarray(sys.B)
-
-        def rate(x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
-            return A @ x + B @ u
+        rate = partial(rates.linear, np.asarray(sys.A), np.asarray(sys.B))
     elif isinstance(sys, control.NonlinearIOSystem) and sys.nstates is not None:
-
-        def rate(x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
-            return np.array(sys.dynamics(t, x, u))  # it may be a buffer
+        rate = partial(rates.of_control, sys)
     else:
         raise TypeError(
             f"system must be in state space, got {type(sys).__name__};"
@@ -281,8 +280,8 @@ def _from_function(
     x0 = _validate.array(state_name, x0)
     if x0.ndim not in (1, 2):
         raise ValueError(f"{state_name} must have shape (n,) or (n, N), got {x0.shape}")
-    if dt is not None and dt is not True and (_validate.number("dt", dt) < 0):
-        raise ValueError(f"dt must be None, True or at least 0, got {dt}")
+    if dt is not None and dt is not True:
+        dt = _validate.non_negative("dt", dt)
     required, accepted = arguments_of(f)
     driven = required >= 2 or (u0 is not None and np.size(u0) > 0)
     if driven and accepted < 2:
@@ -290,15 +289,8 @@ def _from_function(
             f"{input_name} was given, but the function takes x alone: write it f(x, u)"
         )
     timed = driven and accepted == 3
-
-    def call(x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
-        value = copied(f(x, u, t) if timed else f(x, u) if driven else f(x))
-        # A column for a state, as a SymPy matrix or a matrix product makes it.
-        return value[:, 0] if value.ndim == x.ndim + 1 and value.shape[1] == 1 else value
-
-    def rate(x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
-        return call(x.copy(), u.copy(), t)  # f must not change the caller's arrays
-
+    call = partial(rates.called, f, 3 if timed else 1 + driven)
+    rate = partial(rates.of_function, f, 3 if timed else 1 + driven)
     state = x0 if x0.ndim == 1 else x0[:, 0]
     if u0 is None and driven:
         m = number_of_inputs(lambda u: rate(state, u, 0.0), state.size)

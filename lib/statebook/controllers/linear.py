@@ -121,29 +121,6 @@ def weight(name: str, value: Any, size: int, *, definite: bool = False) -> np.nd
     return _validate.semidefinite(name, matrix)
 
 
-class Portable:
-    """A controller that pickles, although a control.StateSpace does not."""
-
-    def __getstate__(self) -> dict[str, Any]:
-        import control
-
-        state = {name: value for name, value in vars(self).items() if name != "_plant"}
-        sys = state["system"]
-        if isinstance(sys, control.StateSpace):
-            matrices = map(np.asarray, (sys.A, sys.B, sys.C, sys.D))
-            names = {"states": sys.state_labels, "inputs": sys.input_labels, "name": sys.name}
-            names["outputs"] = sys.output_labels
-            state["system"] = partial(control.ss, *matrices, sys.dt, **names)
-        return state
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        import control
-
-        vars(self).update(state)
-        if getattr(state["system"], "func", None) is control.ss:
-            vars(self).update(system=state["system"]())
-
-
 _NEAR = 1e-4  # of the boundary, relative to A: rounding blurs repeated eigenvalues by so much
 
 
@@ -202,7 +179,7 @@ def gain_of(
 
 
 @dataclass(frozen=True, eq=False)
-class LQR(Portable):
+class LQR:
     """Linear-quadratic regulator at an equilibrium.
 
     u = u0 - K (x - x0), clipped to the limit, with the K that minimizes the integral (in
@@ -423,7 +400,7 @@ def holding_control(system: System, target: Any, limit: float | None) -> np.ndar
 
 
 @dataclass(frozen=True, eq=False)
-class PD(Portable):
+class PD:
     """Proportional-derivative control of positions towards a target.
 
     u = u0 - kp (q - target) - kd v, clipped to the limit, where u0 holds the target.

@@ -21,7 +21,7 @@ Measurement = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
-class PID(linear.Portable):
+class PID:
     """Proportional-integral-derivative control, its memory a state.
 
     u = u0 - kp e - ki z - kd d, clipped to the limit, with the error e = y - target of what is
@@ -120,6 +120,9 @@ class PID(linear.Portable):
             at_rest = np.concatenate([at_rest, measure(x0)])
         shown = (f"{name} = {_shown(getattr(self, name))}" for name in names)
         linear.require_stable(loop, at_rest, f"the gains {', '.join(shown)}")
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name != "_plant"}
 
     @cached_property
     def _plant(self) -> tuple[System, Measurement]:

@@ -260,8 +260,10 @@ def _drawn(
                 for ax, place in zip(figure.axes, layouts[words], strict=True):
                     ax.set_position(place)
             file, picture = io.StringIO(), io.BytesIO()
-            dpi = figure.dpi
-            FigureCanvasSVG(figure).print_svg(file, metadata={"Date": None, "Creator": None})
+            dpi, canvas = figure.dpi, FigureCanvasSVG(figure)
+            canvas.print_svg(  # type: ignore[no-untyped-call]
+                file, metadata={"Date": None, "Creator": None}
+            )
             figure.dpi = dpi
             layouts.setdefault(words, [ax.get_position(original=True) for ax in figure.axes])
             if still:

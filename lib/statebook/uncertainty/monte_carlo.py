@@ -14,6 +14,7 @@ import numpy as np
 
 from statebook import _validate
 from statebook.control_trajectory import ControlTrajectory
+from statebook.policies import as_plan, at_start
 from statebook.simulation import simulate_clocked
 from statebook.sweeping import generator_outside, sweep
 from statebook.systems import System, as_system
@@ -172,6 +173,7 @@ def monte_carlo(
     start = x0.copy() if x0.ndim == 2 else np.broadcast_to(x0[:, None], (len(x0), number))
     options: dict[str, Any] = {"period": period, "duration": duration, "samples": samples}
     options |= {"method": method, "rtol": rtol, "atol": atol}
+    policy = as_plan("policy", policy)
     errors = (system, policy, disturbance, G)
     if executor is None and chunk is None and reduce is None and cache is None:
         return _simulated(errors, options, start)
@@ -181,7 +183,8 @@ def monte_carlo(
                 f"{name} must not draw from the generator {generator}: each block would repeat"
                 " its numbers; take them from a HeldNoise"
             )
-    known = _disturbed(*errors, start[:, :1], period)[0]
+    one = start[:, :1]
+    known = _disturbed(errors, one, period, _first_control(policy, one))[0]
     ticks = math.ceil(_validate.positive("duration", duration) / period * (1 - 1e-12))
     count = ticks * _validate.integer("samples", samples, 1) + 1
     if chunk is None:
@@ -232,10 +235,13 @@ class _Runs(NamedTuple):
 
 def _simulated(errors: _Errors, options: dict[str, Any], start: np.ndarray) -> Trajectory:
     _, policy, disturbance, _ = errors
-    system, m = _disturbed(*errors, start, options["period"])
+    first = _first_control(policy, start)
+    system, m = _disturbed(errors, start, options["period"], first)
 
     def inputs(x: np.ndarray, t: float) -> np.ndarray:
-        u = np.zeros((m, x.shape[1])) if policy is None else control_of(policy, x, t, m)
+        # One call a tick: the first told how many inputs there are.
+        now = first.pop() if first else policy
+        u = np.zeros((m, x.shape[1])) if policy is None else control_of(now, x, t, m)
         if disturbance is None:
             return u
         q = system.m - m
@@ -313,11 +319,18 @@ def _joined(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.concatenate([[a[0], number], mean, a[n + 2 :] + b[n + 2 :] + products])
 
 
+def _first_control(policy: Any, start: np.ndarray) -> list[np.ndarray]:
+    """What a policy returns at the start; nothing for a plan, or for none."""
+    asked = callable(policy) and not isinstance(policy, ControlTrajectory)
+    return [at_start("policy(x0, 0)", policy, start, 0.0)] if asked else []
+
+
 def _disturbed(
-    system: Any, policy: Any, disturbance: Any, G: Any, start: np.ndarray, period: float
+    errors: _Errors, start: np.ndarray, period: float, first: list[np.ndarray]
 ) -> tuple[System, int]:
     """Return the system with the inputs (u, w), and how many u are."""
-    system = _viewed(system, start, policy)
+    system, policy, disturbance, G = errors
+    system = _viewed(system, start, first[0] if first else policy, bool(first))
     if len(start) != system.n:
         raise ValueError(
             f"x0 must have shape ({system.n},) or ({system.n}, N), got {len(start)} rows"
@@ -334,15 +347,14 @@ def _disturbed(
     return disturbed, system.m
 
 
-def _viewed(system: Any, start: np.ndarray, policy: Any) -> System:
-    """Return the system; of a plain function, the states and the policy tell n and m."""
+def _viewed(system: Any, start: np.ndarray, value: Any, asked: bool) -> System:
+    """Return the system; of a plain function, the states and a control tell n and m."""
     x, u = start[:, 0], None
-    if isinstance(policy, ControlTrajectory):
-        u = np.zeros(policy.m)
-    elif policy is not None:
-        value = np.asarray(policy(start, 0.0) if callable(policy) else policy)
+    if isinstance(value, ControlTrajectory):
+        u = np.zeros(value.m)
+    elif value is not None:
         # One number a trajectory is a single input.
-        single = value.ndim == 0 or (callable(policy) and value.shape == start.shape[1:])
+        single = np.ndim(value) == 0 or (asked and value.shape == start.shape[1:])
         u = np.zeros(1 if single else len(value))
     try:
         return as_system(system, x, u)

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 import scipy
 
+from statebook.verdict.blocks import EPS
+
 # Level sets are taken this far below the best value, so that the sets are not empty by rounding.
 _BELOW = 1e-10
 # How far from the boundary, relative to the norm, an eigenvalue may lie and count as on it.
@@ -56,7 +58,38 @@ def boundary_distance(A: np.ndarray, discrete: bool, enough: float = 0.0) -> flo
         if value >= best * (1 - _BELOW):
             break
         best, where = value, point
-    return unit * min(best, _polish(A, where, best, discrete))
+    return unit * (best if unit * best <= enough else min(best, _polish(A, where, best, discrete)))
+
+
+def is_near_boundary(A: np.ndarray, discrete: bool, radius: float) -> bool:
+    """Whether a stable matrix has an unstable one within radius; None beyond is a proof.
+
+    The proof is Lyapunov's: where P solves ``T^H P + P T = -R`` (``T^H P T - P = -R`` for maps)
+    and T is stable, T + E is too if R is larger than what norm(E) <= radius adds. It costs a
+    triangular equation, and however P was computed, R is what counts. Level sets have the last
+    word where it falls short.
+    """
+    T = scipy.linalg.schur(A, output="complex")[0] if np.tril(A, -1).any() else A.astype(complex)
+    with np.errstate(all="ignore"):
+        proved = np.all(margin(T.diagonal(), discrete) > 0) and _keeps_stable(T, discrete, radius)
+    return not proved and boundary_distance(T, discrete, radius) <= radius
+
+
+def _keeps_stable(T: np.ndarray, discrete: bool, radius: float) -> bool:
+    """Whether Lyapunov's P for R = I proves that a stable triangular T stays so."""
+    n, one = len(T), np.eye(len(T))
+    F, C = T, one
+    if discrete:
+        # The same P for (T - I)(T + I)^-1.
+        W = scipy.linalg.solve_triangular(T + one, one, check_finite=False)
+        F, C = one - 2 * W, 2 * W.conj().T @ W
+    X, scale, _ = scipy.linalg.lapack.ztrsyl(F, F, -C, trana="C")
+    P = (X + X.conj().T) / (2 * scale)
+    R = P - T.conj().T @ P @ T if discrete else -T.conj().T @ P - P @ T
+    size = float(np.linalg.norm(T))
+    growth = 2 * size + radius if discrete else 2.0
+    blur = growth * radius + 8 * n * EPS * (1 + size**2 if discrete else size)
+    return bool(np.linalg.norm(R - one) + blur * np.linalg.norm(P) < 1)
 
 
 def _lowest(A: np.ndarray, points: np.ndarray) -> tuple[float, complex]:
