@@ -435,8 +435,10 @@ def test_another_language_is_said_and_a_path_with_a_space_can_be_pasted(tmp_path
     nbformat.write(nb, tmp_path / "an r.ipynb")
     done = pytest_here(tmp_path)
     assert "1 failed, 1 passed" in done.stdout and "3.15, stored 3.14" in done.stdout
-    assert "data behind texts and pixels: none in language r (2)" in done.stdout
+    assert "language r: text compared, figures by pixels (2)" in done.stdout
     assert 'refresh "an r.ipynb"' in done.stdout
+    done = in_process(tmp_path, main, ["refresh", "."])
+    assert "language r: text compared, figures by pixels; rewritten" in done.stderr
 
 
 def test_a_data_frame_s_column_is_named():

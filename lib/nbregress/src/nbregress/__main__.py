@@ -80,6 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from nbregress.batch import find_notebooks, run_all
         from nbregress.store import keep_agreeing, write
         from nbregress.stored import diff
+        from nbregress.textdiff import cut
     except ModuleNotFoundError as error:
         missing = (error.name or "nbregress").partition(".")[0]
         if missing == "nbregress":
@@ -114,7 +115,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         changed, kept = ["all"], list[str]()
         if not options.all:
             changed, kept = keep_agreeing(run.stored, nb, run.settings)
-        names = ", ".join(changed)
+        names, same = (cut(", ".join(cells)) for cells in (changed, kept))
         if options.check:
             stale.extend([path] if changed else [])
             return f"differs in {names}" if changed else "agrees"
@@ -123,8 +124,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             outcome += f", new outputs: {names}"
         if kept:
             outcome += (
-                f" (kept {', '.join(kept)}: within the tolerance, or another style of the same "
-                "figure; --all replaces them)"
+                f" (kept {same}: within the tolerance, or another style of the same figure; --all "
+                "replaces them)"
             )
         return outcome
 
