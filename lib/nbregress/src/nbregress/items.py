@@ -161,6 +161,9 @@ class Unreadable(pytest.Item):
 
     def runtest(self) -> None:
         """Fail with the reason."""
+        told = {"messages": [f"the notebook {self.reason}"], "outputs": [[], []]}
+        place = {"notebook": str(self.path), "cell": self.name, "source": ""}
+        self.stash[DETAILS] = {**told, **place}
         pytest.fail(f"{self.path} is not a readable notebook: it {self.reason}", pytrace=False)
 
 
@@ -222,7 +225,7 @@ class NotebookCell(IPyNbCell):
             return
         messages = outputs_differences(self.cell.outputs, new, comparison)
         if messages:
-            self.stash[DETAILS] |= self._details(messages, new)
+            self._tell(messages, new)
             lines = [line for message in messages for line in message.splitlines()]
             more = len(lines) - _MOST_LINES
             lines = lines[:_MOST_LINES] + ([f"... and {more} more lines"] if more > 0 else [])
@@ -230,14 +233,16 @@ class NotebookCell(IPyNbCell):
                 "Cell outputs differ", "\n".join([*lines, self.parent.how_to_accept])
             )
 
-    def _details(self, messages: list[str], new: Any) -> dict[str, Any]:
-        return {
-            "notebook": self.parent.shown_path,
-            "cell": self.name,
-            "source": self.cell.source,
-            "messages": messages,
-            "outputs": json.loads(json.dumps([self.cell.outputs, new])),
-        }
+    def raise_cell_error(self, message: str, *details: str) -> None:
+        """Fail, and let the report say so, also where there was nothing to compare."""
+        if "messages" not in self.stash.setdefault(DETAILS, {}):
+            self._tell([message, *details], [])
+        super().raise_cell_error(message, *details)
+
+    def _tell(self, messages: list[str], new: Any) -> None:
+        outputs = json.loads(json.dumps([self.cell.outputs, new]))
+        place = {"notebook": self.parent.shown_path, "cell": self.name, "source": self.cell.source}
+        self.stash[DETAILS] |= {**place, "messages": messages, "outputs": outputs}
 
     def repr_failure(self, excinfo: Any, style: Any = None) -> str:
         """The report of a failure: where, what, how to accept it."""

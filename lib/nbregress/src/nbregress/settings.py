@@ -221,7 +221,7 @@ def _from_ini(found: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     values = {name: found.get(f"regression_{name}") for name in ("rtol", "atol")}
     options = found.get("addopts", [])
     words = shlex.split(options) if isinstance(options, str) else [str(word) for word in options]
-    for word, after in zip(words, [*words[1:], ""], strict=True):
+    for word, after in zip(words, [*words[1:], ""], strict=False):
         option, equals, value = word.partition("=")
         if option in _ADDOPTS:
             values[_ADDOPTS[option]] = value if equals else after
