@@ -100,7 +100,7 @@ def _slopes(profile: Profile) -> tuple[np.ndarray, np.ndarray]:
 
 
 PASSES = 8  # of splitting for torques
-_GAIN = 4.0  # a refinement divides the time lost by about so much
+_GAIN = 3.0  # a refinement divides the time lost by about so much
 _WORK = 8000.0  # rows that are solved in all for each interval of a first grid, at most
 _SMALLEST = 1000  # intervals: a smaller first grid counts as one of these
 _OVERHEAD = 110  # of an interval, in rows
