@@ -160,6 +160,7 @@ def sampled_violation(timed: sb.TimedPath, given: dict[str, Any]) -> float:
     assert np.abs(position - timed.path(s)).max() <= reach, "it leaves the path"
     assert np.all(np.diff(timed.progress(t)[0]) >= -1e-15 * np.abs(s).max()), "it goes back"
     knots = timed.path.waypoint_s
+    changes = {"velocity": inside["acceleration"], "acceleration": timed.jerk(within), "jerk": 0.0}
     worst = -1.0
     for name in _RATES:
         bound = np.asarray(given.get(name, np.inf))
@@ -171,7 +172,11 @@ def sampled_violation(timed: sb.TimedPath, given: dict[str, Any]) -> float:
             low, high = bound[:, :1], bound[:, 1:]
         else:
             continue
-        worst = max(worst, float(np.maximum(inside[name] / low, inside[name] / high).max()) - 1)
+        # Time itself is rounded: at the next derivative times that the values change.
+        blur = 2.3e-16 * timed.duration * np.abs(changes[name])
+        values = inside[name]
+        use = np.maximum((values + blur) / low, (values - blur) / high)
+        worst = max(worst, float(use.max()) - 1)
     for name, of in (("speed", "velocity"), ("acceleration_norm", "acceleration")):
         if name in given:
             norm = np.linalg.norm(inside[of], axis=0)
