@@ -11,7 +11,6 @@ import scipy.linalg
 import sympy
 
 import statebook as sb
-from statebook.probes import arguments_of
 
 
 def swing(x, u):
@@ -279,9 +278,8 @@ def test_a_column_is_a_state_as_sympy_and_matrix_products_write_it():
         sb.as_system(lambda x: x[None], [1.0, 2.0]).dynamics([1.0, 2.0])
 
 
-def test_functions_whose_arguments_cannot_be_read_take_x_and_u():
-    assert arguments_of(np.add) == (1, 2)  # built in C
-    pushed = sb.as_system(np.add, [1.0, 2.0], [0.5, 0.5])
+def test_functions_built_in_c_take_x_and_u():
+    pushed = sb.as_system(np.add, [1.0, 2.0], [0.5, 0.5])  # built in C
     assert not pushed.timed
     np.testing.assert_array_equal(pushed.dynamics([1.0, 2.0], [3.0, -1.0]), [4.0, 1.0])
     np.testing.assert_array_equal(sb.as_system(np.negative, [1.0]).dynamics([3.0]), [-3.0])
