@@ -182,12 +182,13 @@ def test_a_proof_of_stability_contradicts_no_distance(discrete):
         T = np.triu(rng.normal(size=(n, n)) + 1j * rng.normal(size=(n, n)), 1)
         rate = rng.uniform(0.1, 2, n)
         np.fill_diagonal(T, (np.exp(-rate) if discrete else -rate) * np.exp(1j * rate / 9))
-        exact = boundary_distance(T, discrete)
+        exact, Q = boundary_distance(T, discrete), orthogonal(n, 8)
         for share in (1e-6, 0.2, 0.9, 1.1, 5.0):
             proof = _stays_off(T, discrete, share * exact)
             proved += proof
             assert not (proof and share > 1) and (proof or share > 1e-6)
-            assert is_near_boundary(T, discrete, share * exact) == (share > 1)
+            for A in (T, Q @ T @ Q.T):
+                assert is_near_boundary(A, discrete, share * exact) == (share > 1)
     assert proved > 65
 
 
