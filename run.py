@@ -15,17 +15,21 @@
 Standard library only, in syntax that older Pythons parse, so that they can be turned away.
 """
 
-import contextlib
-import hashlib
-import json
-import os
-import platform
-import re
-import shutil
-import subprocess
 import sys
-import time
-from pathlib import Path
+
+try:
+    import contextlib
+    import hashlib
+    import json
+    import os
+    import platform
+    import re
+    import shutil
+    import subprocess
+    import time
+    from pathlib import Path
+except KeyboardInterrupt:
+    sys.exit("run.py: interrupted; run the same command again")
 
 ROOT = Path(__file__).resolve().parent
 NBREGRESS = Path("lib", "nbregress")  # a package of its own, below ROOT
@@ -217,8 +221,22 @@ def watch(arguments, log_file, status):
         process.kill()
 
 
+# A module that is interrupted, perhaps while it still imports, ends without a traceback.
+MODULE = """
+import sys
+try:
+    import runpy
+    del sys.argv[0]
+    runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
+except KeyboardInterrupt:
+    sys.exit("interrupted; what was written is whole")
+"""
+
+
 def run(arguments, cwd=ROOT, output=None):
     """Run .venv's Python in the foreground and return its exit code."""
+    if arguments[0] == "-m":
+        arguments = ["-c", MODULE, *arguments[1:]]
     command = [str(venv_python()), *arguments]
     process = subprocess.Popen(command, cwd=str(cwd), env=environment(), stdout=output)
     while True:
@@ -391,8 +409,8 @@ def main(arguments):
     if arguments[0] not in jobs:
         print("run.py: there is no job %r; there are %s" % (arguments[0], ", ".join(jobs)))
         return 2
-    check_python()
     try:
+        check_python()
         if arguments[:2] == ["test", "--matrix"]:
             return matrix(arguments[2:])  # which makes its own environments
         ensure_environment()

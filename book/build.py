@@ -31,11 +31,13 @@ EXECUTED, RECORD = BUILD / "executed", BUILD / "executed.json"
 CODE = (".py", ".pyi", ".js", ".css")
 
 
-def put(source: Path, target: Path) -> None:
-    """Copy a file where it is missing or another; what is the same keeps its time."""
-    if not target.is_file() or target.read_bytes() != source.read_bytes():
-        target.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(source, target)
+def put(source: Path, target: Path) -> bool:
+    """Copy a file where it is missing or another, and say so; the same keeps its time."""
+    if target.is_file() and target.read_bytes() == source.read_bytes():
+        return False
+    target.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copy(source, target)
+    return True
 
 
 def used_packages() -> dict[str, str]:
@@ -99,13 +101,19 @@ def execute(notebooks: list[Path], everything: bool, jobs: int) -> list[Path]:
     return run_all([Path(name) for name in changed], finish, jobs=jobs, given={})
 
 
-def gather(pages: dict[Path, Path], folder: Path) -> None:
-    """Make a folder hold these files, and of other notebooks none."""
+def gather(pages: dict[Path, Path], folder: Path, doctrees: Path) -> None:
+    """Make a folder hold these files, and of other notebooks none.
+
+    Sphinx reads again what is younger than its doctree, by a clock that may have been set back;
+    so of what changed there is none.
+    """
     for path in folder.rglob("*.ipynb"):
         if path not in pages:
             path.unlink()
     for target, source in pages.items():
-        put(source, target)
+        if put(source, target):
+            tree = doctrees / target.relative_to(folder).with_suffix(".doctree")
+            tree.unlink(missing_ok=True)
 
 
 def restore() -> None:
@@ -124,9 +132,10 @@ def build(skipped: list[Path], notebooks: list[Path], options: list[str]) -> Non
         name = path.relative_to(ROOT)
         target = source / "chapters" / path.relative_to(ROOT / "workbook")
         pages[target] = path if path in skipped else EXECUTED / name
-    gather(pages, source)
+    doctrees = BUILD / "doctrees"
+    gather(pages, source, doctrees)
     os.chdir(BUILD)
-    command = ["-m", "sphinx", "-j", str(os.cpu_count() or 1), "-d", str(BUILD / "doctrees")]
+    command = ["-m", "sphinx", "-j", str(os.cpu_count() or 1), "-d", str(doctrees)]
     subprocess.run([sys.executable, *command, *options, str(source), str(site)], check=True)
     fresh, old = BUILD / "html.new", BUILD / "html.old"
     for folder in (fresh, old):

@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import os
 import sys
 from pathlib import Path
 
@@ -94,6 +95,27 @@ def test_a_change_of_what_outputs_depend_on_executes_again(build, monkeypatch, w
     assert go(build) == (["00_a", "01_b"], [])
 
 
+def test_a_clock_set_back_hides_no_change(build):
+    """Files from now on look older than all that was made before."""
+    go(build)
+    page = build.ROOT / "page.md"
+    page.write_text("one")
+    source, doctrees = build.BUILD / "source", build.BUILD / "doctrees"
+    build.gather({source / "page.md": page}, source, doctrees)
+    doctrees.mkdir()
+    tree = doctrees / "page.doctree"
+    tree.touch()
+    build.gather({source / "page.md": page}, source, doctrees)
+    assert tree.exists()
+    save(build.ROOT / "workbook" / "01_b.ipynb", "1 + 2")
+    page.write_text("two")
+    for path in build.ROOT.rglob("*"):
+        os.utime(path, (1e9, 1e9))
+    assert go(build) == (["01_b"], [])
+    build.gather({source / "page.md": page}, source, doctrees)
+    assert not tree.exists() and (source / "page.md").read_text() == "two"
+
+
 def test_a_notebook_that_failed_is_executed_again_and_the_others_are_not(build):
     build.fails = {"01_b"}
     assert go(build) == (["00_a", "01_b"], ["01_b"])
@@ -154,6 +176,6 @@ def test_pages_of_notebooks_that_are_gone_go(build):
     source = build.BUILD / "source"
     save(source / "chapters" / "99_gone.ipynb", "1")
     kept = source / "chapters" / "00_a.ipynb"
-    build.gather({kept: build.ROOT / "workbook" / "00_a.ipynb"}, source)
+    build.gather({kept: build.ROOT / "workbook" / "00_a.ipynb"}, source, build.BUILD)
     assert json.loads(kept.read_text())["cells"][0]["source"] in ("1 + 1", ["1 + 1"])
     assert not (source / "chapters" / "99_gone.ipynb").exists()
