@@ -38,10 +38,8 @@ def without_solutions(notebook: dict[str, Any]) -> dict[str, Any]:
     'x = None  # your answer\\n'
     """
     result = copy.deepcopy(notebook)
-    result["cells"] = [
-        cell for cell in result["cells"] if _SOLUTION not in cell["metadata"].get("tags", [])
-    ]
-    for number, cell in enumerate(result["cells"]):
+    cells = [c for c in result["cells"] if _SOLUTION not in c["metadata"].get("tags", [])]
+    for number, cell in enumerate(cells):
         source = "".join(cell["source"])
         if cell["cell_type"] == "code":
             source = re.sub(rf"[ \t]*{_BEGIN}.*?{_END}[ \t]*\n?", "", source, flags=re.DOTALL)
@@ -50,7 +48,7 @@ def without_solutions(notebook: dict[str, Any]) -> dict[str, Any]:
             raise ValueError(f"cell {number} must have pairs of '{_BEGIN}' and '{_END}'")
         cell["source"] = source
         cell["metadata"].pop("covers", None)
-    return result
+    return {**result, "cells": cells}
 
 
 def hand_out(workbook: Path, folder: Path) -> list[Path]:
