@@ -1,13 +1,16 @@
 """Break the library on purpose, one place at a time, and see who notices.
 
     python benchmarks/mutation.py --count 200 --jobs 2 --work DIR
+    python benchmarks/mutation.py --only 'verdict/*.py' --tests test_stability.py ... --work DIR
 
 A seeded sample of mutants (a sign, an operator, a comparison, a constant) over the modules
 below. Each one is run against the unit tests and doctests that reach its line, and against
 the chapters that reach it, as coverage knows them; the two are counted apart. Everything
-happens in copies in DIR, one for each job. A run that was interrupted goes on where it
-stopped; results are in DIR/results.jsonl, one line for each mutant. --again, after new checks
-were written, tries once more what survived.
+happens in copies in DIR, one for each job. Results are in DIR/results.jsonl, one line for each
+mutant, with the hash of the tree: a run that was interrupted goes on where it stopped, and of
+another tree nothing is taken over; --again, after new checks were written, takes over what was
+caught before. A room alone, by its own tests and doctests and without chapters, takes --only
+and --tests.
 
 The sample depends on the text of the mutated lines alone: the rest of it stays the same while
 code around it changes. Left out are mutants that cannot matter: of `strict=` in zip and of -1
@@ -23,6 +26,7 @@ import importlib.metadata
 import json
 import os
 import queue
+import re
 import shutil
 import signal
 import subprocess
@@ -59,7 +63,10 @@ MODULES = (
 )
 # Tests of the project rather than of the library.
 NOT_UNIT = tuple(f"test_{name}" for name in ("book", "matrix", "package", "run", "workbook"))
-COPIED = ("lib", "tests", "workbook", "book", "pyproject.toml", "README.md", "requirements.txt")
+COPIED = (
+    *("lib", "tests", "workbook", "book", "conftest.py", "pyproject.toml", "README.md"),
+    "requirements.txt",
+)
 
 BINARY = {
     ast.Add: ("+", "-"),
@@ -158,11 +165,11 @@ def _calls(tree: ast.AST, method: str) -> bool:
 class Bench:
     """A copy of the project in which mutants are tried, one at a time."""
 
-    def __init__(self, work: Path, job: int, timeout: float) -> None:
+    def __init__(self, work: Path, job: int, options: argparse.Namespace) -> None:
         self.whole = work / "whole"
         self.work = work / f"job{job}"
         self.copy = self.work / "copy"
-        self.timeout = timeout
+        self.timeout, self.tests, self.only = options.timeout, options.tests, options.only
         if not self.whole.exists():
             ignored = shutil.ignore_patterns("__pycache__", ".*")
             for source in (ROOT / name for name in COPIED):
@@ -227,9 +234,12 @@ class Bench:
             units = [
                 str(path.relative_to(self.copy))
                 for path in sorted((self.copy / "tests").glob("test_*.py"))
-                if not path.stem.startswith(NOT_UNIT)
+                if (path.name in self.tests if self.tests else not path.stem.startswith(NOT_UNIT))
             ]
-            outcome = self.pytest(*arguments, "--cov-context=test", "lib/statebook", *units)
+            library = self.copy / "lib" / "statebook"
+            sources = [*map(str, chosen(library, self.only))] if self.tests else [str(library)]
+            arguments += ["--cov-context=test", "--durations=0", *sources]
+            outcome = self.pytest(*arguments, *units)
         report = self.work / "coverage.json"
         command = [sys.executable, "-m", "coverage", "json", "--show-contexts", "-q", "-o"]
         subprocess.run([*command, str(report)], cwd=self.copy, check=True)
@@ -255,6 +265,7 @@ class Bench:
         path.write_text(broken, "utf-8")
         try:
             if tests:
+                tests = sorted(tests, key=lambda name: reach["seconds"].get(name, 0.0))
                 (self.work / "ids.txt").write_text("\n".join(tests) + "\n")
                 ids = f"@{self.work / 'ids.txt'}"
                 result["tests"] = self.pytest("-x", ids, timeout=self.timeout)
@@ -270,6 +281,19 @@ class Bench:
             path.write_text(source, "utf-8")
         result["seconds"] = round(time.monotonic() - start, 1)
         return result
+
+
+def chosen(library: Path, patterns: Iterable[str]) -> list[Path]:
+    """Files of the library that are mutated."""
+    return sorted(path for pattern in patterns for path in library.glob(pattern))
+
+
+def tree_hash() -> str:
+    """Hash of the library and its tests."""
+    found = hashlib.sha256()
+    for path in sorted(path for name in ("lib", "tests") for path in (ROOT / name).rglob("*.py")):
+        found.update(path.relative_to(ROOT).as_posix().encode() + path.read_bytes())
+    return found.hexdigest()[:16]
 
 
 def _plain(context: str) -> str:
@@ -304,6 +328,7 @@ def reach(benches: list[Bench], work: Path) -> dict[str, dict[str, Any]]:
         return known
     table: dict[str, dict[str, Any]] = {}
     books = sorted((benches[0].copy / "workbook").glob("[0-9]*.ipynb"))
+    books = [] if benches[0].tests else books
     tasks = [None, *(str(book.relative_to(benches[0].copy)) for book in books)]
     found = each(benches, Bench.cover, tasks)
     for chapter, (outcome, data) in zip(tasks, found, strict=True):
@@ -311,6 +336,10 @@ def reach(benches: list[Bench], work: Path) -> dict[str, dict[str, Any]]:
         # What fails as it is would convict every mutant.
         if outcome != "passed":
             raise SystemExit("nothing can be said about mutants; see last.log")
+        if not chapter:
+            log = (benches[0].work / "last.log").read_text()
+            times = re.findall(r"^([\d.]+)s call +(\S.*)$", log, re.MULTILINE)
+            table["seconds"] = {name: float(seconds) for seconds, name in times}
         for file, lines in data["files"].items():
             entry = table.setdefault(file, {"tests": {}, "chapters": {}})
             if chapter:
@@ -368,27 +397,30 @@ def main() -> None:
     parser.add_argument("--timeout", type=float, default=120.0, help="seconds for one test run")
     parser.add_argument("--jobs", type=int, default=1, help="mutants tried at the same time")
     parser.add_argument("--again", action="store_true", help="try once more what survived")
+    parser.add_argument("--only", nargs="+", default=MODULES, help="files, below lib/statebook")
+    parser.add_argument("--tests", nargs="+", help="test files, without the chapters")
     parser.add_argument("--work", type=Path, required=True, help="folder for copies and results")
     options = parser.parse_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit("ended"))
     work = options.work.resolve()
     work.mkdir(parents=True, exist_ok=True)
     stored = work / "results.jsonl"
-    results = (
-        [json.loads(line) for line in stored.read_text().splitlines()] if stored.exists() else []
-    )
-    if options.again:
-        results = [result for result in results if not survived(result)]
-        stored.write_text("".join(json.dumps(result) + "\n" for result in results))
-        shutil.rmtree(work / "whole")
-        (work / "reach.json").unlink()
-    benches = [Bench(work, job, options.timeout) for job in range(options.jobs)]
+    tree, copied = tree_hash(), work / "tree.txt"
+    lines = stored.read_text().splitlines() if stored.exists() else []
+    found = [json.loads(line) for line in lines]
+    latest = {key(result): result for result in found if options.again or result["tree"] == tree}
+    results = [result for result in latest.values() if not (options.again and survived(result))]
+    if not copied.exists() or copied.read_text() != tree:
+        shutil.rmtree(work / "whole", ignore_errors=True)
+        (work / "reach.json").unlink(missing_ok=True)
+        copied.write_text(tree)
+    benches = [Bench(work, job, options) for job in range(options.jobs)]
     reached = reach(benches, work)
     # Now with the outputs of all chapters as they are without a mutant.
-    benches = [Bench(work, job, options.timeout) for job in range(options.jobs)]
+    benches = [Bench(work, job, options) for job in range(options.jobs)]
     whole = work / "whole"
     library = whole / "lib" / "statebook"
-    files = sorted(path for pattern in MODULES for path in library.glob(pattern))
+    files = chosen(library, options.only)
     population = [mutant for path in files for mutant in mutants(path, whole)]
 
     def rank(mutant: dict[str, Any]) -> bytes:
@@ -403,7 +435,7 @@ def main() -> None:
         judged = each(benches, lambda bench, mutant: bench.judge(mutant, reached), todo)
         for index, result in enumerate(judged, start=1 + len(done)):
             results.append(result)
-            file.write(json.dumps(result) + "\n")
+            file.write(json.dumps({**result, "tree": tree}) + "\n")
             print(f"[{index}/{len(sample)}] {describe(result)}", flush=True)
     print(f"{len(sample)} of {len(population)} mutants, seed {options.seed}")
     report(results)

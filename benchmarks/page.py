@@ -1,12 +1,14 @@
 """Write the site's page "How fast, how exact" from the numbers of one run of test_peers.py.
 
-python benchmarks/page.py _build/peers.json
+python benchmarks/page.py             run it first, which takes some minutes
+python benchmarks/page.py FILE.json   of a run that was kept
 """
 
 from __future__ import annotations
 
 import json
 import os
+import subprocess
 import sys
 from importlib.metadata import version
 from itertools import groupby
@@ -38,8 +40,18 @@ END = """## What the numbers say
 - TOPP-RA on its own grid is quick and exceeds the limits between its points by the error of its
   row; on 1,000 points it is nearer, and slower.
 
-Do it again with `pip install ".[benchmark,timescale]"`, then `pytest benchmarks/test_peers.py
---benchmark-json=_build/peers.json` and `python benchmarks/page.py _build/peers.json`.
+## Do it again
+
+`pip install ".[benchmark,timescale]"`, then `python benchmarks/page.py`. A peer that is not
+installed leaves its rows out; `numba`, `heyoka` and `drake` are not part of the extra.
+"""
+
+GROWTH = """## How the cost grows
+
+One size after the other, in the same run.
+"""
+
+KNEES = """
 """
 
 
@@ -78,13 +90,45 @@ def table(rows: list[dict[str, Any]]) -> str:
             ratio = "not comparable"
             if alike(error, ours["extra_info"]["accuracy"]):
                 ratio = f"{ours['stats']['min'] / row['stats']['min']:.2g} times"
-        shown = f"{error:.1e}" if error else ""
+        shown = "finds nothing" if error == float("inf") else f"{error:.1e}" if error else ""
         lines.append(f"| {whose(row)} | {duration(row['stats']['min'])} | {shown} | {ratio} |")
     return "\n".join(lines)
 
 
-def main(path: str) -> None:
-    run = json.loads(Path(path).read_text(encoding="utf-8"))
+def growth(rows: list[dict[str, Any]]) -> str:
+    """Return the table of one job in growing sizes."""
+    lines = ["| size | time | for each | error | growth |", "| ---: | ---: | ---: | ---: | --- |"]
+    rows = sorted(rows, key=lambda row: row["extra_info"]["size"])
+    for k, row in enumerate(rows):
+        size, error = (row["extra_info"][name] for name in ("size", "accuracy"))
+        cells = [f"{size:,}", duration(row["stats"]["min"]), duration(row["stats"]["min"] / size)]
+        cells.append(f"{error:.1e}" if error else "")
+        before = rows[max(k - 1, 0)]
+        larger = size / before["extra_info"]["size"]
+        slower = row["stats"]["min"] / before["stats"]["min"]
+        cells.append(f"{slower:.2g} times the time, {larger:.2g} times the size" if k else "")
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def measured() -> Path:
+    """Run the benchmarks, one thread each; return the file of their numbers."""
+    file = PAGE.parents[1] / "_build" / "peers.json"
+    file.parent.mkdir(exist_ok=True)
+    tests = str(Path(__file__).with_name("test_peers.py"))
+    options = ["--benchmark-max-time=0.3", "--benchmark-min-rounds=3", f"--benchmark-json={file}"]
+    one = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:xdist", tests, *options]
+    subprocess.run(command, env={**os.environ, **one}, check=True, cwd=PAGE.parents[1])
+    run = json.loads(file.read_text(encoding="utf-8"))
+    run["load"] = load
+    file.write_text(json.dumps(run), encoding="utf-8")
+    return file
+
+
+def main(path: str | None = None) -> None:
+    run = json.loads(Path(path or measured()).read_text(encoding="utf-8"))
     machine = run["machine_info"]
     names = ("numpy", "scipy", "control", "toppra")
     about = (
@@ -92,12 +136,21 @@ def main(path: str) -> None:
         f" {machine['cpu'].get('brand_raw', 'a processor without a name')}, {os.cpu_count()} cores,"
         f" one thread; {', '.join(f'{n} {version(n)}' for n in names)}; {run['datetime'][:10]}."
     )
-    text = TOP.format(machine=about)
+    if run.get("load", 0.0) > os.cpu_count() / 4:
+        about += (
+            f"\n\n**The machine was busy with other work** (load {run['load']:.0f} on"
+            f" {os.cpu_count()} cores before the run began): compare times of one table only."
+        )
+    text, grown = TOP.format(machine=about), GROWTH
     by_group = sorted(run["benchmarks"], key=lambda row: row["group"])
     for group, rows in groupby(by_group, key=lambda row: row["group"]):
-        text += f"## {group[:1].upper()}{group[1:]}\n\n{table(list(rows))}\n\n"
-    PAGE.write_text(text + END, encoding="utf-8")
+        if group.startswith("growth: "):
+            title = group.removeprefix("growth: ")
+            grown += f"\n### {title[:1].upper()}{title[1:]}\n\n{growth(list(rows))}\n"
+        else:
+            text += f"## {group[:1].upper()}{group[1:]}\n\n{table(list(rows))}\n\n"
+    PAGE.write_text(text + grown + KNEES + END, encoding="utf-8")
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main(*sys.argv[1:])

@@ -1,8 +1,7 @@
 """The library beside its peers: one job, both in one run, each with its accuracy.
 
-    pip install ".[benchmark]"
-    pytest benchmarks/test_peers.py --benchmark-json=_build/peers.json
-    python benchmarks/page.py _build/peers.json      writes book/speed.md
+    pip install ".[benchmark,timescale]"
+    python benchmarks/page.py      runs this file and writes book/speed.md
 
 A group holds "ours" and its peers. `accuracy` is the error of the result against an exact one;
 where that of a peer is another by more than a factor of ten, the page prints no ratio. A peer that
@@ -11,12 +10,17 @@ is not installed leaves its row out.
 
 from __future__ import annotations
 
+import subprocess
+import sys
+from pathlib import Path
 from typing import Any
 
 import control
+import nbformat
 import numpy as np
 import pytest
 import scipy
+from nbformat.v4 import new_code_cell, new_notebook, new_output
 
 import statebook as sb
 
@@ -131,6 +135,8 @@ def test_simulate(benchmark, whose):
 @pytest.mark.parametrize("whose", ["ours", "scipy", "numba"])
 def test_batch(benchmark, N, whose):
     benchmark.group = f"simulate {N} pendulums for 10 s"
+    if whose != "ours" and N == 1000:
+        pytest.skip("a loop over 1000 takes ten times that over 100")
     x0 = np.stack([np.linspace(0.2, 1.5, N) - np.pi / 2, np.zeros(N)])
     tight = {"rtol": 1e-8, "atol": 1e-10}
     span = (0.0, TIMES[-1])
@@ -186,44 +192,149 @@ def test_flow(benchmark, whose):
 # ---- time scaling ----
 
 
-@pytest.mark.filterwarnings("ignore:tolerance")  # as near as it comes
-@pytest.mark.parametrize("points", [10, 100])
-@pytest.mark.parametrize("whose", ["ours", "toppra, its own grid", "toppra, 1000 points"])
-def test_time_scaling(benchmark, points, whose):
-    """Accuracy here is the worse of the limits exceeded and the time lost, as a share."""
-    toppra = pytest.importorskip("toppra")
-    constraint = pytest.importorskip("toppra.constraint")
-    from time_scaling_verify import dense_violation
-
-    benchmark.group = f"time a 7-joint spline of {points} waypoints"
+def random_path(points: int) -> tuple[np.ndarray, scipy.interpolate.CubicSpline]:
+    """Return the knots and a spline of 7 joints through points at random."""
     rng = np.random.default_rng(points)
     waypoints = np.cumsum(rng.uniform(-0.4, 0.4, (7, points)), axis=1)
-    v, a = np.tile([-1.0, 1.0], (7, 1)), np.tile([-4.0, 4.0], (7, 1))
     s = np.linspace(0, points / 4, points)
-    path = sb.Path(scipy.interpolate.CubicSpline(s, waypoints.T))
-    spline = toppra.SplineInterpolator(s, waypoints.T)
-    limits = [
-        constraint.JointVelocityConstraint(v),
-        constraint.JointAccelerationConstraint(a),
-    ]
+    return s, scipy.interpolate.CubicSpline(s, waypoints.T)
 
-    def ours() -> Any:
-        return sb.time_scale(path, v, a)
 
-    def raw() -> Any:
-        grid = None if "own" in whose else np.linspace(0, s[-1], 1001)
-        return toppra.algorithm.TOPPRA(limits, spline, gridpoints=grid).compute_trajectory(0, 0)
+V, A = np.tile([-1.0, 1.0], (7, 1)), np.tile([-4.0, 4.0], (7, 1))
 
-    found = benchmark.pedantic(ours if whose == "ours" else raw, rounds=2, warmup_rounds=0)
+
+def by_us(s: np.ndarray, spline: Any) -> Any:
+    path = sb.Path(spline)
+    return lambda: sb.time_scale(path, V, A)
+
+
+def by_toppra(s: np.ndarray, spline: Any, grid: np.ndarray | None = None) -> Any:
+    """Return the job of the package toppra, on its own grid unless there is one."""
+    toppra = pytest.importorskip("toppra")
+    constraint = pytest.importorskip("toppra.constraint")
+    path = toppra.SplineInterpolator(s, spline(s))
+    limits = [constraint.JointVelocityConstraint(V), constraint.JointAccelerationConstraint(A)]
+    algorithm = toppra.algorithm.TOPPRA
+    return lambda: algorithm(limits, path, gridpoints=grid).compute_trajectory(0, 0)
+
+
+def by_drake(s: np.ndarray, spline: Any, grid: np.ndarray | None = None) -> Any:
+    """Return the job of Drake's TOPP-RA: seven sliders, on its own grid unless there is one."""
+    pytest.importorskip("pydrake", reason="Drake is not installed")
+    from pydrake.multibody.optimization import CalcGridPointsOptions, Toppra
+    from pydrake.multibody.plant import MultibodyPlant
+    from pydrake.multibody.tree import PrismaticJoint, SpatialInertia
+    from pydrake.trajectories import PiecewisePolynomial
+
+    plant = MultibodyPlant(0.0)
+    unit = SpatialInertia.SolidCubeWithDensity(1.0, 1.0)
+    for i in range(7):
+        body = plant.AddRigidBody(f"link {i}", unit)
+        fixed, moving = plant.world_frame(), body.body_frame()
+        joint = PrismaticJoint(f"joint {i}", fixed, moving, [1.0, 0.0, 0.0])
+        plant.AddJoint(joint)
+    plant.Finalize()
+    path = PiecewisePolynomial.CubicHermite(s, spline(s).T, spline(s, 1).T)
+
+    def job() -> Any:
+        own = Toppra.CalcGridPoints(path, CalcGridPointsOptions()) if grid is None else grid
+        problem = Toppra(path, plant, own)
+        problem.AddJointVelocityLimit(*V.T)
+        problem.AddJointAccelerationLimit(*A.T)
+        scaling = problem.SolvePathParameterization()
+        return scaling and Drake(path, scaling)
+
+    return job
+
+
+class Drake:
+    """What Drake found, called as toppra's trajectory is."""
+
+    def __init__(self, path: Any, scaling: Any) -> None:
+        self.path, self.scaling = path, scaling
+        self.duration = scaling.end_time()
+
+    def __call__(self, t: np.ndarray, order: int) -> np.ndarray:
+        s, sdot, sddot = (self.scaling.derivative(k).vector_values(t)[0] for k in range(3))
+        first = self.path.derivative(1).vector_values(s)
+        if order == 1:
+            return (first * sdot).T
+        return (self.path.derivative(2).vector_values(s) * sdot**2 + first * sddot).T
+
+
+WHO = {
+    "ours": by_us,
+    "toppra, its own grid": by_toppra,
+    "toppra, 1000 points": lambda s, q: by_toppra(s, q, np.linspace(0, s[-1], 1001)),
+    "Drake, its own grid": by_drake,
+    "Drake, 1000 points": lambda s, q: by_drake(s, q, np.linspace(0, s[-1], 1001)),
+}
+
+
+@pytest.mark.filterwarnings("ignore:tolerance")  # as near as it comes
+@pytest.mark.parametrize("points", [10, 100])
+@pytest.mark.parametrize("whose", WHO)
+def test_time_scaling(benchmark, points, whose):
+    """Accuracy here is the worse of the limits exceeded and the time lost, as a share."""
+    pytest.importorskip("toppra")
+    s, spline = random_path(points)
+    benchmark.group = f"time a 7-joint spline of {points} waypoints"
+    found = benchmark.pedantic(WHO[whose](s, spline), rounds=2, warmup_rounds=0)
     if found is None:
-        pytest.skip("TOPP-RA finds nothing")
-    if whose == "ours":
+        noted(benchmark, np.inf, f"{points} waypoints")
+        return
+    best = sb.time_scale(sb.Path(spline), V, A, tolerance=1e-4).duration
+    error = max(exceeded(found), found.duration / best - 1, 0.0)
+    noted(benchmark, error, f"{points} waypoints")
+
+
+def exceeded(found: Any) -> float:
+    """Return by what share a motion exceeds its limits, at 200,000 samples."""
+    from time_scaling_verify import dense_violation
+
+    motion = (lambda t: found(t, 1).T), (lambda t: found(t, 2).T)
+    if hasattr(found, "velocity"):
         motion = found.velocity, found.acceleration
-    else:
-        motion = (lambda t: found(t, 1).T), (lambda t: found(t, 2).T)
-    exceeded = dense_violation(motion, found.duration, v, a)
-    best = sb.time_scale(path, v, a, tolerance=1e-4).duration
-    noted(benchmark, max(exceeded, found.duration / best - 1, 0.0), f"{points} waypoints")
+    return dense_violation(motion, found.duration, V, A)
+
+
+# ---- notebooks ----
+
+
+def written(folder: Path, cells: int, fault: str = "") -> Path:
+    """Write a notebook with outputs that are right, but for a fault in the last."""
+    codes = [new_code_cell(f"print({k}, 'is', {k} ** 2)") for k in range(cells)]
+    for k, cell in enumerate(codes):
+        cell.execution_count = k + 1
+        text = f"{k} is {k**2}{fault if k == cells - 1 else ''}\n"
+        cell.outputs = [new_output("stream", name="stdout", text=text)]
+    path = folder / f"cells_{cells}{fault}.ipynb"
+    nbformat.write(new_notebook(cells=codes), path)
+    return path
+
+
+TESTED = {"ours": ["--nb"], "nbval": ["--nbval", "--nbval-current-env"], "nbmake": ["--nbmake"]}
+
+
+def tested(whose: str, path: Path) -> int:
+    """Test a notebook; return pytest's exit code."""
+    options = ["-q", "-p", "no:cacheprovider", "-p", "no:xdist", "-p", "no:benchmark"]
+    command = [sys.executable, "-m", "pytest", *options, *TESTED[whose], str(path)]
+    return subprocess.run(command, cwd=path.parent, capture_output=True).returncode
+
+
+@pytest.mark.parametrize("cells", [10, 300])
+@pytest.mark.parametrize("whose", TESTED)
+def test_notebook(benchmark, cells, whose, tmp_path):
+    """Accuracy here is 1 for who does not see that a stored output is another."""
+    if whose != "ours":
+        pytest.importorskip(whose)
+    benchmark.group = f"test a notebook of {cells} cells"
+    right = written(tmp_path, cells)
+    code = benchmark.pedantic(lambda: tested(whose, right), rounds=1, warmup_rounds=0)
+    assert code == 0
+    missed = tested(whose, written(tmp_path, 10, "5")) == 0
+    noted(benchmark, float(missed), f"{cells} cells")
 
 
 # ---- compiled limits ----
@@ -248,3 +359,64 @@ def test_batch_heyoka(benchmark):
     found = benchmark.pedantic(loop, rounds=1, warmup_rounds=0)
     exact = np.stack([swing_exact(angle, TIMES) for angle in starts + np.pi / 2])
     noted(benchmark, abs(found + np.pi / 2 - exact).max(), "1000 starts")
+
+
+# ---- growth ----
+
+
+@pytest.mark.parametrize("size", [1, 10, 100, 1000, 10_000, 100_000])
+def test_growth_batch(benchmark, size):
+    benchmark.group = "growth: pendulums simulated together for 10 s"
+    x0 = np.stack([np.linspace(0.2, 1.5, size) - np.pi / 2, np.zeros(size)])
+    times = TIMES[::20]
+    job = lambda: sb.simulate(FREE, x0, times=times, rtol=1e-8, atol=1e-10).states  # noqa: E731
+    found = benchmark.pedantic(job, rounds=1 + (size < 10_000), warmup_rounds=size < 10_000)
+    exact = np.stack([swing_exact(angle, times) for angle in x0[0, ::97] + np.pi / 2])
+    noted(benchmark, abs(found[0, ::97] + np.pi / 2 - exact).max(), size)
+
+
+def chain(n: int) -> tuple[Any, np.ndarray]:
+    """Return n/2 pendulums hanging in a row, joined by springs, and their matrix at rest."""
+    half = n // 2
+    springs = -2 * np.eye(half) + np.eye(half, k=1) + np.eye(half, k=-1)
+
+    def f(x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        pull = springs @ x[:half]
+        return np.concatenate([x[half:], pull - np.sin(x[:half]) + u[0]])
+
+    zero, one = np.zeros((half, half)), np.eye(half)
+    return f, np.block([[zero, one], [springs - one, zero]])
+
+
+@pytest.mark.parametrize("size", [2, 6, 20, 60, 200])
+@pytest.mark.parametrize("what", ["linearize", "simulate"])
+def test_growth_states(benchmark, size, what):
+    benchmark.group = f"growth: {what} pendulums in a chain, by states"
+    f, known = chain(size)
+    x0 = np.zeros(size)
+    if what == "linearize":
+        job = lambda: sb.linearize(f, x0, [0.0]).A  # noqa: E731
+        error = abs(benchmark.pedantic(job, rounds=2, warmup_rounds=1) - known).max()
+    else:
+        x0[0] = 1e-6  # so small that it is linear
+        job = lambda: sb.simulate(f, x0, [0.0], duration=10.0, atol=1e-16).states  # noqa: E731
+        found = benchmark.pedantic(job, rounds=2, warmup_rounds=1)[:, -1]
+        error = abs(found - scipy.linalg.expm(10.0 * known) @ x0).max() / 1e-6
+    noted(benchmark, error, size)
+
+
+@pytest.mark.filterwarnings("ignore:tolerance")
+@pytest.mark.parametrize("size", [5, 20, 80, 320])
+def test_growth_waypoints(benchmark, size):
+    pytest.importorskip("toppra")
+    benchmark.group = "growth: time a 7-joint spline, by waypoints"
+    found = benchmark.pedantic(by_us(*random_path(size)), rounds=1, warmup_rounds=0)
+    noted(benchmark, max(exceeded(found), found.gap, 0.0), size)
+
+
+@pytest.mark.parametrize("size", [1, 10, 100, 1000])
+def test_growth_cells(benchmark, size, tmp_path):
+    benchmark.group = "growth: test a notebook, by cells"
+    path = written(tmp_path, size)
+    code = benchmark.pedantic(lambda: tested("ours", path), rounds=1, warmup_rounds=0)
+    noted(benchmark, float(code != 0), size)

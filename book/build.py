@@ -13,10 +13,12 @@ import hashlib
 import json
 import os
 import platform
+import re
 import shutil
 import subprocess
 import sys
-from importlib.metadata import distributions
+from contextlib import suppress
+from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 from typing import Any
 
@@ -29,16 +31,34 @@ EXECUTED, RECORD = BUILD / "executed", BUILD / "executed.json"
 CODE = (".py", ".pyi", ".js", ".css")
 
 
-def put(source: Path, target: Path) -> None:
-    """Copy a file where it is missing or another; what is the same keeps its time."""
-    if not target.is_file() or target.read_bytes() != source.read_bytes():
-        target.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(source, target)
+def put(source: Path, target: Path) -> bool:
+    """Copy a file where it is missing or another, and say so; the same keeps its time."""
+    if target.is_file() and target.read_bytes() == source.read_bytes():
+        return False
+    target.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copy(source, target)
+    return True
+
+
+def used_packages() -> dict[str, str]:
+    """Return the versions of what requirements.txt names and needs, and of nothing else here."""
+    lines = (ROOT / "requirements.txt").read_text(encoding="utf-8").splitlines()
+    found: dict[str, str] = {}
+    todo = [line for line in lines if line[:1].isalpha()]
+    while todo:
+        requirement = todo.pop()
+        name = re.split(r"[^\w.-]", requirement)[0].lower().replace("_", "-")
+        if name in found or re.search(r"\bextra *==", requirement):
+            continue
+        with suppress(PackageNotFoundError):  # another system's, or toppra
+            found[name] = distribution(name).version
+            todo += distribution(name).requires or []
+    return found
 
 
 def content_keys(notebooks: list[Path]) -> dict[str, str]:
     """Return, by name, a hash of a notebook, the library, the packages and Python."""
-    versions = sorted(f"{d.metadata['Name']} {d.version}" for d in distributions())
+    versions = sorted(f"{name} {number}" for name, number in used_packages().items())
     common = hashlib.sha256("\n".join([platform.python_version(), *versions]).encode())
     for path in sorted(p for p in (ROOT / "lib").rglob("*") if p.suffix in CODE):
         common.update(path.read_bytes())
@@ -81,13 +101,19 @@ def execute(notebooks: list[Path], everything: bool, jobs: int) -> list[Path]:
     return run_all([Path(name) for name in changed], finish, jobs=jobs, given={})
 
 
-def gather(pages: dict[Path, Path], folder: Path) -> None:
-    """Make a folder hold these files, and of other notebooks none."""
+def gather(pages: dict[Path, Path], folder: Path, doctrees: Path) -> None:
+    """Make a folder hold these files, and of other notebooks none.
+
+    Sphinx reads again what is younger than its doctree, by a clock that may have been set back;
+    so of what changed there is none.
+    """
     for path in folder.rglob("*.ipynb"):
         if path not in pages:
             path.unlink()
     for target, source in pages.items():
-        put(source, target)
+        if put(source, target):
+            tree = doctrees / target.relative_to(folder).with_suffix(".doctree")
+            tree.unlink(missing_ok=True)
 
 
 def restore() -> None:
@@ -106,9 +132,10 @@ def build(skipped: list[Path], notebooks: list[Path], options: list[str]) -> Non
         name = path.relative_to(ROOT)
         target = source / "chapters" / path.relative_to(ROOT / "workbook")
         pages[target] = path if path in skipped else EXECUTED / name
-    gather(pages, source)
+    doctrees = BUILD / "doctrees"
+    gather(pages, source, doctrees)
     os.chdir(BUILD)
-    command = ["-m", "sphinx", "-j", str(os.cpu_count() or 1), "-d", str(BUILD / "doctrees")]
+    command = ["-m", "sphinx", "-j", str(os.cpu_count() or 1), "-d", str(doctrees)]
     subprocess.run([sys.executable, *command, *options, str(source), str(site)], check=True)
     fresh, old = BUILD / "html.new", BUILD / "html.old"
     for folder in (fresh, old):

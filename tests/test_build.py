@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import os
 import sys
 from pathlib import Path
 
@@ -34,6 +35,7 @@ def build(tmp_path, monkeypatch):
         monkeypatch.setattr(module, name, place)
     (tmp_path / "_build").mkdir()
     (tmp_path / "lib").mkdir()
+    (tmp_path / "requirements.txt").write_text("# ours\nnbformat>=5\n")
     (tmp_path / "lib" / "a.py").write_text("x = 1\n")
     for name in ("00_a", "01_b"):
         save(tmp_path / "workbook" / f"{name}.ipynb", "1 + 1")
@@ -71,17 +73,47 @@ def test_only_what_changed_is_executed(build):
     assert go(build, everything=True) == (["00_a", "01_b"], [])
 
 
-@pytest.mark.parametrize("what", ["library", "versions", "copy"])
+def test_a_package_that_no_notebook_uses_executes_nothing(build):
+    """As the driver of a browser, which `run.py test` installs."""
+    used = build.used_packages()
+    assert {"nbformat", "traitlets"} <= set(used)
+    assert not {"pytest", "sphinx", "statebook"} & set(used)
+
+
+@pytest.mark.parametrize("what", ["library", "versions", "packages", "copy"])
 def test_a_change_of_what_outputs_depend_on_executes_again(build, monkeypatch, what):
     go(build)
     if what == "library":
         (build.ROOT / "lib" / "a.py").write_text("x = 2\n")
     elif what == "versions":
         monkeypatch.setattr(build.platform, "python_version", lambda: "3.99.0")
+    elif what == "packages":
+        monkeypatch.setattr(build, "used_packages", lambda: {"nbformat": "99"})
     else:
         for path in build.EXECUTED.rglob("*.ipynb"):
             path.unlink()
     assert go(build) == (["00_a", "01_b"], [])
+
+
+def test_a_clock_set_back_hides_no_change(build):
+    """Files from now on look older than all that was made before."""
+    go(build)
+    page = build.ROOT / "page.md"
+    page.write_text("one")
+    source, doctrees = build.BUILD / "source", build.BUILD / "doctrees"
+    build.gather({source / "page.md": page}, source, doctrees)
+    doctrees.mkdir()
+    tree = doctrees / "page.doctree"
+    tree.touch()
+    build.gather({source / "page.md": page}, source, doctrees)
+    assert tree.exists()
+    save(build.ROOT / "workbook" / "01_b.ipynb", "1 + 2")
+    page.write_text("two")
+    for path in build.ROOT.rglob("*"):
+        os.utime(path, (1e9, 1e9))
+    assert go(build) == (["01_b"], [])
+    build.gather({source / "page.md": page}, source, doctrees)
+    assert not tree.exists() and (source / "page.md").read_text() == "two"
 
 
 def test_a_notebook_that_failed_is_executed_again_and_the_others_are_not(build):
@@ -144,6 +176,6 @@ def test_pages_of_notebooks_that_are_gone_go(build):
     source = build.BUILD / "source"
     save(source / "chapters" / "99_gone.ipynb", "1")
     kept = source / "chapters" / "00_a.ipynb"
-    build.gather({kept: build.ROOT / "workbook" / "00_a.ipynb"}, source)
+    build.gather({kept: build.ROOT / "workbook" / "00_a.ipynb"}, source, build.BUILD)
     assert json.loads(kept.read_text())["cells"][0]["source"] in ("1 + 1", ["1 + 1"])
     assert not (source / "chapters" / "99_gone.ipynb").exists()

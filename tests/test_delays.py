@@ -3,6 +3,7 @@
 import control
 import numpy as np
 import pytest
+import scipy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -152,6 +153,17 @@ def test_margins_against_python_controls_phase_margin(seed, n, scale):
     _, phases, _, _, crossovers, _ = control.stability_margins(loop, returnall=True)
     delays = np.deg2rad(phases % 360) / crossovers
     assert margin.delay == pytest.approx(min([np.inf, *delays]), rel=1e-5)
+
+
+@pytest.mark.parametrize("gains", [[3.0], [1.0, 5.0], [5.0, 1.0]])
+def test_the_confirmed_growth_is_that_of_the_characteristic_equation(gains):
+    # x' = -k x(t - d) grows as Re s, where s = -k exp(-s d): s d = W(-k d), of Lambert.
+    margin = sb.delay_margin(
+        lambda x, u: u, lambda x, t: -np.array(gains) * x, np.zeros(len(gains))
+    )
+    late = np.array([0.95, 1.05]) * margin.delay
+    exact = (scipy.special.lambertw(-max(gains) * late) / late).real
+    assert margin.growth == pytest.approx(exact, rel=0.02)
 
 
 def test_the_margin_is_confirmed_from_both_sides():

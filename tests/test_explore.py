@@ -10,9 +10,11 @@ import re
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import statebook as sb
-from statebook.plotting import explore, film
+from statebook.plotting import Player, explore, film
 
 WORDS = {"caption": "Figure 1. A sine.", "alt": "a sine wave & its <zeros>"}
 
@@ -20,6 +22,7 @@ WORDS = {"caption": "Figure 1. A sine.", "alt": "a sine wave & its <zeros>"}
 @pytest.fixture(autouse=True)
 def no_window():
     plt.switch_backend("agg")
+    plt.close("all")  # others may have left some open
     yield
     assert plt.get_fignums() == []
 
@@ -53,6 +56,16 @@ def test_the_page_holds_every_frame():
     assert len(set(player.frames)) == 3
     assert data["axes"] == [{"name": "frequency", "values": ["1", "2", "3"]}]
     assert data["start"] == [1]
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.lists(st.lists(st.sampled_from("abcdefg"), min_size=1, max_size=9), min_size=1))
+def test_any_frames_come_out_as_they_went_in(lines):
+    frames = tuple(map("\n".join, lines))
+    axes = (("x", tuple(map(str, range(len(frames))))),)
+    data = unpacked(Player(axes, frames, (0,), "A caption.", "What is seen.").to_html())
+    assert frames_of(data) == [*frames]
+    assert len(data["parts"]) == len({line for frame in lines for line in frame})
 
 
 def test_a_frame_shows_the_data_of_its_value():
@@ -182,3 +195,21 @@ def test_bad_times(times):
 
 def test_is_public():
     assert sb.plotting.explore is explore
+
+
+def test_axes_stay_where_they_are_unless_a_label_needs_more_room():
+    axes = []
+
+    def draw(top):
+        with plt.rc_context({"figure.constrained_layout.use": True}):
+            axes.append(plt.subplots()[1])
+        axes[-1].set(ylim=(0, top), title=f"{top} m", ylabel="height [m]")
+        axes[-1].set_yticks([0, top], ["0", str(top)])
+
+    explore(draw, top=[1, 2, 1_000_000], **WORDS)
+    left = [ax.get_position(original=True).x0 for ax in axes]
+    assert left[0] == left[1]
+    assert left[2] > left[0] + 0.05
+    alone = explore(draw, top=[1_000_000, 2_000_000], **WORDS)
+    assert alone.frames[0] != alone.frames[1]
+    assert axes[-2].get_position(original=True).x0 == pytest.approx(left[2], abs=1e-3)

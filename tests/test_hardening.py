@@ -24,6 +24,9 @@ UNSAFE = {
     *("cloudpickle.load cloudpickle.loads joblib.load dill.load dill.loads eval exec".split()),
     *("yaml.load yaml.unsafe_load pandas.read_pickle torch.load os.system os.popen".split()),
 }
+# What measures a wait or an age by these is led astray by a clock that is set.
+CLOCKS = {"time.time", "time.time_ns", "datetime.now", "datetime.datetime.now", "os.path.getmtime"}
+SHOWN = {"patterns.py": 1}  # whether a date that a notebook printed was that of its day
 
 # A child process reads from its parent's pipe, never from a file.
 PIPED = {"sandbox.py": ["cloudpickle.loads", "pickle.load", "pickle.load"]}
@@ -86,10 +89,11 @@ def allow_pickle(source: str) -> list[str]:
         ("import os\nif os.name == 'nt':\n    a = 1\nelse:\n    import fcntl", []),
         ("import os\nhasattr(os, 'geteuid') and os.geteuid() == 0", []),
         ("import os\nos.replace(1, 2)", []),
+        ("import time\ntime.time()", ["2: time.time"]),
     ],
 )
 def test_the_search_sees_calls_and_guards(source, found):
-    assert uses(source, POSIX, guards=True) == found
+    assert uses(source, POSIX | CLOCKS, guards=True) == found
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda p: p.relative_to(ROOT).as_posix())
@@ -98,6 +102,7 @@ def test_no_call_that_only_posix_has_and_nothing_unpickled_or_evaluated(path):
     assert uses(source, POSIX, guards=True) == []
     unsafe = [text.split()[-1] for text in uses(source, UNSAFE) + allow_pickle(source)]
     assert sorted(unsafe) == PIPED.get(path.name, [])
+    assert len(uses(source, CLOCKS)) == SHOWN.get(path.name, 0)
     texts = [n for n in ast.walk(ast.parse(source)) if isinstance(n, ast.Constant)]
     fixed = [t.value for t in texts if isinstance(t.value, str) and t.value.startswith("/tmp")]
     assert fixed == []

@@ -375,6 +375,25 @@ def test_a_policy_may_leave_its_domain_in_a_trial_step():
     assert np.allclose(trajectory.states[0], (1 - trajectory.times / 2) ** 2, atol=1e-8)
 
 
+def test_samples_end_before_a_step_whose_interpolation_has_no_value():
+    # DOP853 looks at places within a step, once it is made, for the sake of the samples there.
+    asked, hole = [], []
+
+    def f(x):
+        asked.append(np.ravel(x)[0])
+        return np.array([1.0, np.nan if asked[-1] in hole else 2 * x[0]])
+
+    times = np.linspace(0, 3, 31)
+    run = simulate(f, [0.0, 0.0], times=times, method="DOP853")
+    assert np.allclose(run.states, [times, times**2])
+    hole = asked[-3:]
+    with pytest.raises(sb.DivergenceError, match="the interpolated state is not fin") as caught:
+        simulate(f, [0.0, 0.0], times=times, method="DOP853")
+    run = caught.value.trajectory
+    assert 1 < len(run.times) < 31 and max(run.times) < min(hole)
+    assert np.allclose(run.states, [run.times, run.times**2])
+
+
 @pytest.mark.parametrize("method", ["RK45", "Radau", "rk4"])
 def test_the_callers_own_errors_come_through(method):
     def f(x):

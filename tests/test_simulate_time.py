@@ -97,6 +97,32 @@ def test_switches_are_exact_to_rounding():
     assert run.states[:, -1] == pytest.approx([v * (1 / 3 + 1 / 6), v], rel=1e-13)
 
 
+@pytest.mark.parametrize("method", ["RK45", "BDF", "rk4"])
+def test_switches_where_nothing_changes_cost_nothing(method):
+    calls = []
+
+    def policy(x, t):
+        calls.append(t)
+        return [np.sin(t)]
+
+    counts = []
+    for switches in ([], [-1.0, 0.0, 1e-15, 2.0 - 1e-15, 2.0, 3.0]):
+        calls.clear()
+        simulate(
+            double_integrator, [0.0, 0.0], policy, times=[0, 2], switches=switches, method=method
+        )
+        counts.append(len(calls))
+    assert counts[0] == counts[1]
+
+
+@pytest.mark.parametrize("method", SOLVERS)
+def test_pulses_as_long_as_a_short_interval_between_long_ones(method):
+    times = np.concatenate([[0.0, 4.9], np.arange(5.0, 5.45, 0.1), [10.0]])
+    run = simulate(double_integrator, [0.0, 0.0], pulse(5.17, 5.27), times=times, method=method)
+    # The speed is the pulse's area; 2e-3 is what a solver's step makes of its edges.
+    assert run.states[1, -1] == pytest.approx(10.0, rel=2e-3)
+
+
 @pytest.mark.parametrize("method", SOLVERS)
 def test_a_returned_control_that_the_motion_did_not_feel_is_told(method):
     with pytest.warns(UserWarning, match="control returned at t = 5 is not one that the motion"):
@@ -194,6 +220,15 @@ def test_events_after_a_switch_and_under_a_clock():
     )
     assert clocked.times[-1] == pytest.approx(1.0)
     assert clocked.controls.shape == (1, len(clocked.times) - 1)
+    clocked = sb.simulate_clocked(
+        double_integrator,
+        [0, 0],
+        lambda x, t: 2.0,
+        period=0.3,
+        duration=3,
+        events=lambda x, t: t - 0.5,
+    )  # negative at the start, and only there
+    assert [e.time for e in clocked.events] == pytest.approx([0.5])
 
 
 @pytest.mark.parametrize(

@@ -8,9 +8,10 @@ import os
 import subprocess
 import sys
 import textwrap
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from operator import add
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,7 +19,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import statebook as sb
-from clusterable import GRID, POLAR, drawn, inverse, polar
+from clusterable import GRID, POLAR, deadly, drawn, gusty, inverse, polar
+from statebook import checkpoint
 from test_sweep import Inline
 
 QUIET = {"progress": False}
@@ -48,7 +50,7 @@ def calls(folder):
 @pytest.fixture(scope="module")
 def dask():
     distributed = pytest.importorskip("distributed")
-    options = {"dashboard_address": None, "host": "127.0.0.1", "silence_logs": 50}
+    options = {"dashboard_address": "127.0.0.1:0", "host": "127.0.0.1", "silence_logs": 50}
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, **options) as cluster:
         with distributed.Client(cluster) as client:
             yield client.get_executor()
@@ -63,6 +65,8 @@ def test_on_a_dask_cluster(dask, tmp_path):
     there = sb.sweep(drawn, grid, executor=dask, seed=3, reduce=fold, cache=tmp_path / "c", **QUIET)
     np.testing.assert_array_equal(there, here)
     assert np.sqrt(here[1] / 300) == pytest.approx(np.sqrt(0.5 * 0.5**3 / 3), rel=0.2)
+    here = gusty(number=40, chunk=9, executor=Inline())
+    np.testing.assert_array_equal(gusty(number=40, chunk=9, executor=dask).states, here.states)
 
 
 def test_on_mpi(tmp_path):
@@ -73,10 +77,13 @@ def test_on_mpi(tmp_path):
     script = """
         import numpy as np, statebook as sb
         from mpi4py.futures import MPIPoolExecutor
-        from clusterable import GRID, POLAR, inverse, polar
+        from clusterable import GRID, POLAR, gusty, inverse, polar
         if __name__ == "__main__":
             with MPIPoolExecutor() as pool:
                 np.testing.assert_array_equal(sb.sweep(polar, GRID, executor=pool), POLAR)
+                there = gusty(number=40, chunk=9, executor=pool, reduce="moments")
+                here = gusty(number=40, chunk=9, reduce="moments")
+                np.testing.assert_array_equal(there.covariance, here.covariance)
                 try:
                     sb.sweep(inverse, {"x": [2, 1, 0]}, executor=pool)
                 except RuntimeError as error:
@@ -92,17 +99,23 @@ def test_on_mpi(tmp_path):
 class Given(Inline):
     """Runs at once; of one task an executor's own error comes back."""
 
+    def __init__(self, error):
+        super().__init__()
+        self.error = error
+
     def submit(self, function, *arguments):
         if arguments[2] != 4:
             return super().submit(function, *arguments)
         future = Future()
-        future.set_exception(LookupError("worker lost"))
+        future.set_exception(self.error)
         return future
 
 
-def test_what_an_executor_gives_up_is_named():
-    with pytest.raises(RuntimeError, match=r"died at \{'x': 4\}, \{'x': 5\}: killed"):
-        sb.sweep(abs_of, {"x": range(9)}, executor=Given(), chunk=2, **QUIET)
+@pytest.mark.parametrize("error", [LookupError("lost"), ValueError("lost"), RuntimeError("lost")])
+def test_what_an_executor_gives_up_is_named(error):
+    with pytest.raises(RuntimeError, match=r"died at \{'x': 4\}, \{'x': 5\}: killed") as caught:
+        sb.sweep(abs_of, {"x": range(9)}, executor=Given(error), chunk=2, **QUIET)
+    assert caught.value.__cause__ is error
 
 
 def abs_of(x):
@@ -151,6 +164,61 @@ def test_few_tasks_are_on_their_way_at_a_time():
             abs_of, {"x": range(300)}, executor=pool, chunk=1, reduce=(fold, 0), **QUIET
         )
     assert total == sum(range(300)) and done[0] == 300
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Where calls are noted, and the order to kill lies."""
+    (tmp_path / "calls").mkdir()
+    (tmp_path / "calls" / "kill").touch()
+    return tmp_path / "calls"
+
+
+def goes_on(grid, options):
+    """Sweep again: what the cache holds is not called again, and nothing is missing."""
+    before = calls(grid["folder"][0])
+    with np.load(options["cache"]) as stored:
+        kept = [i for first in stored["starts"] for i in range(first, first + stored["size"])]
+    result = sb.sweep(deadly, grid, **options)
+    np.testing.assert_array_equal(result[:, 0], np.arange(40) ** 2)
+    after = calls(grid["folder"][0])
+    assert kept and all(after[x] == before[x] for x in kept) and len(after) == 40
+    assert after[30] == before[30] + 1
+
+
+def test_a_killed_worker_of_a_pool_costs_what_was_on_its_way(folder, tmp_path):
+    grid = {"x": range(40), "folder": [folder]}
+    options = {"cache": tmp_path / "c", "chunk": 2, **QUIET}
+    with ProcessPoolExecutor(1) as pool:
+        with pytest.raises(RuntimeError, match=r"died at .*'x': 30"):
+            sb.sweep(deadly, grid, executor=pool, **options)
+    goes_on(grid, options)
+
+
+def test_a_killed_worker_of_dask(folder, tmp_path):
+    """Nobody restarts the workers; where nothing may be tried twice, a point is named."""
+    distributed = pytest.importorskip("distributed")
+    here = {"dashboard_address": "127.0.0.1:0", "host": "127.0.0.1", "protocol": "tcp://"}
+    command = [sys.executable, "-m", "distributed.cli.dask_worker", "--no-nanny", "--nthreads=1"]
+    command += ["--no-dashboard", "--local-directory", str(tmp_path)]
+    started = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    started["env"] = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
+    grid, options = {"x": range(40), "folder": [folder]}, {"chunk": 1, **QUIET}
+    with distributed.LocalCluster(n_workers=0, silence_logs=50, **here) as cluster:
+        command.append(cluster.scheduler_address)
+        workers = [subprocess.Popen(command, **started) for _ in range(2)]
+        try:
+            with distributed.Client(cluster) as client:
+                client.wait_for_workers(2, timeout=60)
+                options["executor"] = client.get_executor()
+                cluster.scheduler.allowed_failures = 0
+                with pytest.raises(RuntimeError, match=r"worker process died at \{'x': \d+, 'fold"):
+                    sb.sweep(deadly, grid, cache=tmp_path / "c", **options)
+                goes_on(grid, {"cache": tmp_path / "c", **options})
+        finally:
+            for worker in workers:
+                worker.kill()
+                worker.wait()
 
 
 @pytest.mark.parametrize("reduce", [None, (add, 0), (in_place, np.zeros(1))])
@@ -250,6 +318,28 @@ def test_what_cannot_work_is_refused(tmp_path, monkeypatch, options, error, mess
     monkeypatch.chdir(tmp_path)
     with pytest.raises(error, match=message):
         sb.sweep(**{"function": abs_of, "grid": {"x": [1]}, "executor": Inline(), **options})
+
+
+@pytest.mark.parametrize(("cost", "apart"), [(0.0, 1.0), (0.02, 1.0), (0.5, 10.0)])
+def test_a_cache_is_written_every_second_or_a_twentieth_of_the_time(
+    tmp_path, monkeypatch, cost, apart
+):
+    now, written, whole = [0.0], [], os.replace
+
+    def replacing(*names):
+        whole(*names)
+        now[0] += cost
+        written.append(now[0])
+
+    monkeypatch.setattr(checkpoint.os, "replace", replacing)
+    monkeypatch.setattr(checkpoint, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    done = checkpoint.Checkpoint(1)
+    done.keep_in(tmp_path / "c", {})
+    while now[0] < 60:
+        now[0] += 1 / 8
+        done.add(len(done.ready), np.array([now[0]]))
+    assert len(written) > 5
+    assert np.diff(written) == pytest.approx([apart + cost] * (len(written) - 1), abs=1 / 8)
 
 
 def test_a_full_disk_costs_the_cache_not_the_results(tmp_path, monkeypatch):

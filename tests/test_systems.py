@@ -7,6 +7,8 @@ import math
 import control
 import numpy as np
 import pytest
+import scipy.linalg
+import sympy
 
 import statebook as sb
 
@@ -196,6 +198,8 @@ def test_a_time_that_does_not_matter_is_not_asked_for():
         lambda t, x: [x[1], -x[0]],
         lambda t, x, u: [x[1], u[0]],
         lambda time, y: -y,
+        lambda time_s, state: [state[1], -state[0]],
+        lambda t_, x: [x[1], -x[0]],
         lambda x, t: [x[1], -x[0]],
     ],
 )
@@ -227,3 +231,48 @@ def test_a_ragged_return_is_explained():
     for function in (sb.jacobians, sb.linearize, sb.find_equilibrium):
         with pytest.raises(TypeError, match=r"shapes \(\), \(1,\); in row 1 write u\[0\]"):
             function(lambda x, u: [x[1], -np.sin(x[0]) + u], [0.0, 0.0], [0.0])
+
+
+class Metres:
+    """A number with a unit, which no array of floats takes."""
+
+    shape = ()
+
+    def __init__(self, value):
+        self.value = value
+
+    def __array__(self, dtype=None, copy=None):
+        raise ValueError("strip the unit first")
+
+
+def test_numbers_that_make_no_array_are_named():
+    for function in (sb.jacobians, sb.linearize, sb.find_equilibrium):
+        with pytest.raises(TypeError, match=r"one number for each state, got .*strip the unit"):
+            function(lambda x: [Metres(x[1]), Metres(-x[0])], [0.0, 0.0])
+
+
+def test_a_column_is_a_state_as_sympy_and_matrix_products_write_it():
+    x, v, u = sympy.symbols("x v u")
+    symbolic = sympy.lambdify([[x, v], [u]], sympy.Matrix([v, u - sympy.sin(x) - v / 5]))
+    A, B = np.array([[0.0, 1.0], [-2.0, -0.2]]), np.array([[0.0], [1.0]])
+    report = sb.linearize(symbolic, [0.0, 0.0], [0.0])
+    np.testing.assert_allclose(report.A, [[0, 1], [-1, -0.2]], atol=1e-12)
+
+    def product(x, u):
+        return A @ x.reshape(2, 1) + B @ u.reshape(1, 1)
+
+    def columns(x, u):  # a batch of columns, shape (n, 1, N)
+        return (A @ x + B @ u)[:, None]
+
+    def policy(x, t):
+        return -np.array([[0.0, 1.0]]) @ x.reshape(2, 1)
+
+    run = sb.simulate(product, [1.0, 0.0], policy, times=[0.0, 2.0])
+    closed = scipy.linalg.expm(2.0 * (A - B @ [[0.0, 1.0]]))[:, 0]
+    np.testing.assert_allclose(run.states[:, -1], closed, rtol=1e-5)
+    assert not sb.as_system(product, X, U).batched
+    system = sb.as_system(columns, X, U)
+    assert system.batched
+    np.testing.assert_allclose(system.dynamics(X, U), A @ X + B @ U, rtol=1e-15)
+    with pytest.raises(ValueError, match=r"shape \(2,\), got \(1, 2\)"):  # a row is another thing
+        sb.as_system(lambda x: x[None], [1.0, 2.0]).dynamics([1.0, 2.0])

@@ -62,6 +62,7 @@ from .uncertainty.error_models import with_actuation_error as with_actuation_err
 from .uncertainty.error_models import with_disturbance as with_disturbance
 from .uncertainty.error_models import with_measurement_error as with_measurement_error
 from .uncertainty.error_models import with_parameters as with_parameters
+from .uncertainty.monte_carlo import Moments as Moments
 from .uncertainty.monte_carlo import monte_carlo as monte_carlo
 from .uncertainty.noise import HeldNoise as HeldNoise
 from .uncertainty.noise import discretize_noise as discretize_noise

@@ -11,6 +11,8 @@ import scipy
 
 from statebook import _validate
 from statebook.linearization import jacobians, linearize
+from statebook.policies import as_plan, at_start
+from statebook.sampling import state_space
 from statebook.simulation import simulate
 from statebook.systems import as_system
 
@@ -63,13 +65,9 @@ def with_input_delay(sys: Any, delay: float, *, order: int = 5) -> control.State
     delay = _validate.non_negative("delay", delay)
     if _validate.integer("order", order, 1) > 10:
         raise ValueError(f"order must be at most 10, got {order}")
-    system = as_system(sys)
-    if not system.linear:
-        raise ValueError("sys must be linear; call linearize(sys, x0, u0) first")
-    if not isinstance(sys, control.StateSpace):
-        sys = linearize(system, np.zeros(system.n))
-    if system.discrete:
-        dt = float(system.dt or 1)
+    sys = state_space(sys)
+    if _validate.is_discrete(sys.dt):
+        dt = float(sys.dt or 1)
         order = round(delay / dt)
         if abs(delay - order * dt) > 1e-9 * dt:
             raise ValueError(f"delay must be whole samples of dt = {dt:g}, got {delay:g}")
@@ -77,16 +75,16 @@ def with_input_delay(sys: Any, delay: float, *, order: int = 5) -> control.State
     else:
         wait = control.tf2ss(*control.pade(delay, order)) if delay else control.ss([], [], [], 1.0)
     A, B, C, D = (np.asarray(M) for M in (sys.A, sys.B, sys.C, sys.D))
-    late = [np.kron(np.eye(system.m), np.asarray(M)) for M in (wait.A, wait.B, wait.C, wait.D)]
-    names = [f"{label}, delayed [{i}]" for label in system.inputs for i in range(wait.nstates)]
+    late = [np.kron(np.eye(sys.ninputs), np.asarray(M)) for M in (wait.A, wait.B, wait.C, wait.D)]
+    names = [f"{label}, delayed [{i}]" for label in sys.input_labels for i in range(wait.nstates)]
     matrices = (
         np.block([[A, B @ late[2]], [np.zeros((len(late[0]), len(A))), late[0]]]),
         np.vstack([B @ late[3], late[1]]),
         np.hstack([C, D @ late[2]]),
         D @ late[3],
     )
-    labels: dict[str, Any] = {"states": [*system.states, *names], "inputs": list(system.inputs)}
-    labels |= {"outputs": sys.output_labels, "name": f"{system.name} with input delay"}
+    labels: dict[str, Any] = {"states": [*sys.state_labels, *names], "inputs": sys.input_labels}
+    labels |= {"outputs": sys.output_labels, "name": f"{sys.name} with input delay"}
     return control.ss(*matrices, sys.dt, **labels)
 
 
@@ -144,8 +142,11 @@ def delay_margin(
 
     Raises
     ------
-    ValueError
-        If the loop is not stable without a delay, or the system is in discrete time.
+    NotAnEquilibriumError
+        If x0 does not stay where it is under the policy.
+    TypeError, ValueError
+        If the loop is not stable without a delay, the system is in discrete time, or the
+        policy has no value at x0.
     RuntimeError
         If a simulation does not confirm the margin.
 
@@ -164,11 +165,13 @@ def delay_margin(
     x0 = _validate.real_array("x0", x0, (None,))
     if not callable(policy):
         raise TypeError(f"policy must be a function u(x, t), got {policy!r}")
-    u0 = np.atleast_1d(_validate.real_array("policy(x0, 0)", policy(x0.copy(), 0.0)))
-    known = as_system(system, x0, u0)
+    policy = as_plan("policy", policy)
+    u0 = np.atleast_1d(at_start("policy(x0, 0)", policy, x0, 0.0))
+    known = as_system(system, x0, u0, names=("x0", "policy"))
     if known.discrete:
         raise ValueError(f"system must be in continuous time, got dt = {known.dt}")
-    A, B = jacobians(known, x0, u0)
+    sys = linearize(known, x0, u0)
+    A, B = np.asarray(sys.A), np.asarray(sys.B)
     later, _ = jacobians(lambda x: B @ np.atleast_1d(policy(x, 0.0)), x0)
     rightmost = np.linalg.eigvals(A + later).real.max()
     if rightmost >= 0:

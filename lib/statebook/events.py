@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -11,6 +10,8 @@ import numpy as np
 import scipy
 
 from statebook import _validate
+from statebook.policies import valued
+from statebook.probes import is_time, positional
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,17 +44,15 @@ class Watch:
 
     def __init__(self, label: str, function: Callable[..., Any], x: np.ndarray, t: float) -> None:
         self.label, self._function = label, function
-        try:
-            names = list(inspect.signature(function).parameters)
-        except (TypeError, ValueError):  # built in C: nothing to read
-            names = []
+        names = (positional(function) or ([], 0, False))[0]
         # SciPy's order is told by the names: f(t, y).
-        self._time_first = len(names) > 1 and names[0] in ("t", "time", "_t")
-        self._alone = len(names) == 1
-        terminal = getattr(function, "terminal", False)
-        self._left = np.inf if terminal is False else _validate.integer(
-            f"terminal of event {label}", int(terminal), 1
-        )  # fmt: skip
+        self._time_first = bool(names) and is_time(names[0])
+        self._number = 1 if len(names) == 1 else 2
+        given = getattr(function, "terminal", None)
+        terminal = np.asarray(given or 0)  # None and 0 are False, as in SciPy
+        if terminal.ndim or terminal.dtype.kind not in "biuf" or terminal < 0 or terminal % 1:
+            raise ValueError(f"terminal of event {label} must be a bool or a count, got {given!r}")
+        self._left = int(terminal) or np.inf
         self._direction = _validate.number(
             f"direction of event {label}", getattr(function, "direction", 0)
         )
@@ -61,9 +60,10 @@ class Watch:
 
     def __call__(self, x: np.ndarray, t: float) -> float:
         """Evaluate the function."""
-        order = (x,) if self._alone else (t, x) if self._time_first else (x, t)
-        value = np.asarray(self._function(*order))
-        if value.size != 1 or value.dtype.kind not in "biuf":
+        order = ((t, x) if self._time_first else (x, t))[: self._number]
+        with valued(f"event {self.label} has", x, t):
+            value = np.asarray(self._function(*order))
+        if value.size != 1 or value.dtype.kind not in "biuf" or np.isnan(value).any():
             raise TypeError(
                 f"event {self.label} must return one real number from (x, t), got {value!r}"
                 f" at t = {t:.6g}"

@@ -10,6 +10,7 @@ import numpy as np
 
 from statebook.derivatives import InexactDerivativeWarning, differentiate
 from statebook.errors import NotAnEquilibriumError
+from statebook.rates import make_portable
 from statebook.residuals import TOLERANCE, jacobian, labels_among, noise_of, point, scale_of
 from statebook.systems import System, as_system, output_map, time_of
 
@@ -276,6 +277,7 @@ def linear_system(
     """Return the linear system of a Jacobian, with the outputs' derivatives and all labels."""
     import control
 
+    make_portable(control.StateSpace)
     outputs, H = _outputs(system, x0, u0, t, columns)
     kept, split = [*system.states, *system.inputs], system.n
     if columns is not None:

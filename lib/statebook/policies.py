@@ -17,7 +17,7 @@ from statebook import _validate
 from statebook.control_trajectory import ControlTrajectory
 from statebook.dense_output import Steps
 from statebook.errors import outside_domain
-from statebook.probes import arguments_of, number_of_inputs, takes_batches
+from statebook.probes import arguments_of, is_time, number_of_inputs, positional, takes_batches
 from statebook.systems import System
 from statebook.times import interval_of
 
@@ -59,7 +59,7 @@ class Control:
         plan = self.plan
         marks = switches if plan is None else np.union1d(switches, plan.breakpoints)
         slack = 1e-12 * max(abs(start), abs(end), end - start)
-        inside = marks[(marks > start + slack) & (marks < end - slack)]
+        inside = marks[(marks > start) & (marks < end - slack)]
         inside = inside[np.diff(inside, prepend=start) > slack]
         cuts = np.array([start, *inside.tolist(), end])
         ends = itertools.pairwise(cuts.tolist())
@@ -160,9 +160,22 @@ def at_start(name: str, function: Callable[..., Any], x: np.ndarray, t: float) -
     return np.array(_validate.real_array(name, value))
 
 
-def as_plan(u: Any) -> Any:
-    """A SciPy piecewise polynomial as a control trajectory; anything else as it is."""
-    return ControlTrajectory.from_ppoly(u) if isinstance(u, scipy.interpolate.PPoly) else u
+def as_plan(name: str, u: Any) -> Any:
+    """A SciPy piecewise polynomial as a control trajectory; anything else as it is.
+
+    A function must take (x, t): in another order it would give wrong numbers in silence.
+    """
+    if isinstance(u, scipy.interpolate.PPoly):
+        return ControlTrajectory.from_ppoly(u)
+    if not callable(u) or isinstance(u, ControlTrajectory):
+        return u
+    names, required, variadic = positional(u) or (["x", "t"], 2, False)
+    if required <= 2 and (len(names) > 1 or variadic) and not any(map(is_time, names[:1])):
+        return u
+    given = ", ".join(names)
+    raise TypeError(
+        f"{name} must take (x, t), got a function of ({given}); write lambda x, t: f({given})"
+    )
 
 
 def example_input(
@@ -227,11 +240,9 @@ def as_control(
     function, t0, shape = u, float(times[0]), (m,)
 
     def policy(x: np.ndarray, t: float) -> np.ndarray:
-        value = function(x.copy(), t)
-        # What `shaped` does with most of them, without a call.
-        if type(value) is np.ndarray and value.dtype is _FLOAT and x.ndim == 1:
-            if value.shape == shape:
-                return value
+        value = np.asarray(function(x.copy(), t))
+        if value.dtype is _FLOAT and value.shape == shape and x.ndim == 1:
+            return value  # as `shaped` does with most of them, without a call
         return shaped("u(x, t)", value, m, x.shape[1:])
 
     def one_by_one(x: np.ndarray, t: float) -> np.ndarray:
@@ -274,6 +285,8 @@ def shaped(name: str, value: Any, m: int, batch: tuple[int, ...]) -> np.ndarray:
         raise TypeError(f"{name} must be real numbers, got {value!r}")
     if m == 1 and value.shape in ((), batch):
         value = value[None]
+    elif value.shape == (m, 1) and not batch:  # a column, as K @ x.reshape(n, 1) is
+        value = value[:, 0]
     if value.shape not in ((m,), (m, *batch)):
         allowed = f"({m},)" + (f" or ({m}, {batch[0]})" if batch else "")
         raise ValueError(f"{name} must have shape {allowed}, got {value.shape}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -11,9 +12,34 @@ import numpy as np
 
 from statebook._validate import brief
 
-_TIME = ("t", "time", "_t")
 _TIMES = (0.0, 1e-3, 0.7310586, 4.269, 61.803, 2718.28)
 _INPUTS = 12  # up to which the number of a function's inputs is looked for
+
+
+def is_time(name: str) -> bool:
+    """Whether an argument of this name is a time: t, time, _t, time_s."""
+    return re.fullmatch(r"_*(t|time)(_\w*)?", name) is not None
+
+
+def positional(f: Callable[..., Any]) -> tuple[list[str], int, bool] | None:
+    """Return a function's positional arguments, how many it requires, whether it takes more.
+
+    None of what is built in C: there is nothing to read.
+    """
+    code = getattr(f, "__code__", None)
+    if code is not None and not (code.co_flags & 0x0C or code.co_kwonlyargcount):
+        # Much faster than a signature, and most functions are this plain.
+        names = list(code.co_varnames[: code.co_argcount])
+        required = len(names) - len(getattr(f, "__defaults__", None) or ())
+        bound = inspect.ismethod(f)
+        return names[bound:], max(required - bound, 0), False
+    try:
+        parameters = inspect.signature(f).parameters.values()
+    except (TypeError, ValueError):
+        return None
+    kinds = [p for p in parameters if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)]
+    required = sum(p.default is p.empty for p in kinds)
+    return [p.name for p in kinds], required, any(p.kind is p.VAR_POSITIONAL for p in parameters)
 
 
 def arguments_of(f: Callable[..., Any]) -> tuple[int, int]:
@@ -24,25 +50,10 @@ def arguments_of(f: Callable[..., Any]) -> tuple[int, int]:
     TypeError
         It takes the time first, x and the time alone, or something else.
     """
-    code = getattr(f, "__code__", None)
-    if code is not None and not (code.co_flags & 0x0C or code.co_kwonlyargcount):
-        # Much faster than a signature, and most functions are this plain.
-        names = list(code.co_varnames[: code.co_argcount])
-        required = len(names) - len(getattr(f, "__defaults__", None) or ())
-        variadic = False
-        if inspect.ismethod(f):
-            names, required = names[1:], max(required - 1, 0)
-    else:
-        try:
-            parameters = inspect.signature(f).parameters.values()
-        except (TypeError, ValueError):  # built in C: nothing to read
-            return 1, 2
-        kinds = [p for p in parameters if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)]
-        names = [p.name for p in kinds]
-        required = sum(p.default is p.empty for p in kinds)
-        variadic = any(p.kind is p.VAR_POSITIONAL for p in parameters)
+    names, required, variadic = positional(f) or (["x", "u"], 1, False)
     given = ", ".join(names)
-    if len(names) > 1 and (names[0] in _TIME or (required == 2 and names[1] in _TIME)):
+    times = [is_time(name) for name in names]
+    if len(names) > 1 and (times[0] or (required == 2 and times[1])):
         order = "x, u, t" if len(names) > 2 else "x, t"
         raise TypeError(
             f"a system's function must take (x), (x, u) or (x, u, t), got one of ({given}), with"
@@ -54,7 +65,7 @@ def arguments_of(f: Callable[..., Any]) -> tuple[int, int]:
             f"a system's function must take (x), (x, u) or (x, u, t), got {required} required"
             " arguments; bind the others first (functools.partial)"
         )
-    timed = len(names) > 2 and (required == 3 or names[2] in _TIME)
+    timed = len(names) > 2 and (required == 3 or times[2])
     accepted = 2 if variadic else 3 if timed else min(len(names), 2)
     return max(required, 1), accepted
 
@@ -186,10 +197,13 @@ def copied(value: Any) -> np.ndarray:
     """Return what a function returned, which may be its buffer, as another array."""
     try:
         return np.array(value)
-    except ValueError as error:
-        rows = [np.shape(row) for row in value]
-        odd = next(i for i, shape in enumerate(rows) if shape != rows[0] or shape)
+    except (TypeError, ValueError) as error:
+        rule = "a system's function must return one number for each state"
+        rows = [np.shape(row) for row in value] if isinstance(value, list | tuple) else []
+        odd = next((i for i, shape in enumerate(rows) if shape != rows[0] or shape), None)
+        if odd is None:  # quantities with units, an object with an __array__ of its own
+            raise TypeError(f"{rule}, got {value!r}; convert it to floats ({error})") from None
         raise TypeError(
-            "a system's function must return one number for each state, got rows of the shapes"
+            f"{rule}, got rows of the shapes"
             f" {', '.join(map(str, rows))}; in row {odd} write u[0] instead of u, say ({error})"
         ) from None

@@ -76,7 +76,9 @@ def discretize(
             raise ValueError(
                 f"prewarp must be below pi/dt = {np.pi / dt:.4g} rad/s, got {prewarp:.4g}"
             )
-    sys = _state_space(sys)
+    sys = state_space(sys)
+    if _validate.is_discrete(sys.dt):
+        raise ValueError(f"sys must be in continuous time, got one with dt = {sys.dt}")
     scipys_name = "backward_diff" if method == "backward_euler" else method
     try:
         with np.errstate(all="ignore"):
@@ -134,7 +136,13 @@ def discretize_many(
     >>> Ad[0].tolist(), Bd[0].tolist()
     ([[1.0, 0.5], [0.0, 1.0]], [[0.125], [0.5]])
     """
-    A, B = pair(A, B)
+    A, B = _validate.array("A", A), _validate.array("B", B)
+    if A.ndim not in (2, 3) or A.shape[-1] != A.shape[-2]:
+        raise ValueError(f"A must have shape (N, n, n) or (n, n), got {A.shape}")
+    if B.ndim != A.ndim or B.shape[:-1] != A.shape[:-1]:
+        raise ValueError(
+            f"B must have shape ({', '.join(map(str, A.shape[:-1]))}, m), got {B.shape}"
+        )
     return one_step(A, B, _validate.positive("dt", dt), _method(method))
 
 
@@ -218,28 +226,15 @@ def _require_finite(E: np.ndarray) -> None:
         raise ValueError("dt must be shorter: exp(A dt) exceeds the largest floating-point number")
 
 
-def _state_space(sys: Any) -> control.StateSpace:
+def state_space(sys: Any) -> control.StateSpace:
+    """Return a system that declares itself linear in python-control's form."""
     import control
 
-    system = as_system(sys)
-    if system.discrete:
-        raise ValueError(f"sys must be in continuous time, got one with dt = {system.dt}")
+    plain = callable(sys) and not hasattr(sys, "dynamics")
+    if plain or not (system := as_system(sys)).linear:
+        raise ValueError("sys must be linear; call linearize(sys, x0, u0) first")
     if isinstance(sys, control.StateSpace):
         return sys
-    if not system.linear:
-        raise ValueError("sys must be linear; call linearize(sys, x0, u0) first")
     result = linearize(system, np.zeros(system.n))
     result.name = system.name
     return result
-
-
-def pair(A: Any, B: Any, *, stack: bool = True) -> tuple[np.ndarray, np.ndarray]:
-    """Return A and B checked: (n, n) and (n, m), or stacks of as many of them."""
-    A, B = _validate.array("A", A), _validate.array("B", B)
-    if A.ndim not in ((2, 3) if stack else (2,)) or A.shape[-1] != A.shape[-2]:
-        raise ValueError(f"A must have shape {'(N, n, n) or ' * stack}(n, n), got {A.shape}")
-    if B.ndim != A.ndim or B.shape[:-1] != A.shape[:-1]:
-        raise ValueError(
-            f"B must have shape {(*A.shape[:-1], 'm')}, got {B.shape}".replace("'", "")
-        )
-    return A, B

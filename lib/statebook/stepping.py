@@ -23,6 +23,7 @@ _CHECK_EVERY = 5_000  # steps
 _MANY = 1_000_000  # steps: minutes to hours of computing
 _HOPELESS = 1e9  # steps: days
 _COLLAPSED = 0.01  # of a length that steps once had: the control chatters
+_FLOAT = np.dtype(float)
 _SMALLEST_RTOL = 100 * np.finfo(float).eps  # SciPy's own limit
 _HINT = (
     "is the control discontinuous in x (sample it with simulate_clocked), or the system stiff "
@@ -54,13 +55,13 @@ class Flow:
 
     def __call__(self, x: np.ndarray, policy: Policy, t: float) -> np.ndarray:
         """Evaluate the dynamics; it may be the function's own buffer."""
+        u = None
         try:
-            u, value = None, None
             u = policy(x, t)
             value = np.asarray(self._rate(x, u, t))
         except Exception as error:
             return self._failed(error, x, "the dynamics" if u is not None else "u(x, t)", t)
-        if value.shape != x.shape or value.dtype.kind not in "biuf":
+        if value.shape != x.shape or (value.dtype is not _FLOAT and value.dtype.kind not in "biuf"):
             self._refuse(value, x, u, t)
         return value
 
@@ -103,6 +104,8 @@ class Flow:
 
     def _failed(self, error: Exception, x: np.ndarray, what: str, t: float) -> np.ndarray:
         """NaN where a function left its domain; else the caller's own error."""
+        if isinstance(error, StopIteration):  # would end a generator in silence
+            raise RuntimeError(f"{what} had no further value at t = {t:.6g}") from error
         if not outside_domain(error) and np.isfinite(x).all():
             if self.error is not error and hasattr(error, "add_note"):  # Python 3.11
                 error.add_note(f"in simulate, at t = {t:.6g}, x = {np.array2string(x)}")
@@ -128,7 +131,6 @@ def fixed_steps(flow: Flow, steps: Steps, stretches: Iterable[Stretch], method: 
 
         t = start
         while t < min(end, last):
-            flow.trouble = ""
             x, target = steps.state, min(steps.times[steps.taken], end)
             try:
                 x_next = step(rate, x, t, target - t)
@@ -136,7 +138,7 @@ def fixed_steps(flow: Flow, steps: Steps, stretches: Iterable[Stretch], method: 
                 raise StoppedError(flow.trouble or str(error), t, x) from None
             if not np.isfinite(x_next).all():
                 raise StoppedError(flow.trouble or "the next state is not finite", t, x)
-            t = target
+            t, flow.trouble = target, ""
             steps.advance(t, x_next)
 
 
@@ -175,10 +177,12 @@ class Solver:
     def stay_within(self, times: np.ndarray) -> np.ndarray:
         """Let no step be longer than the distance of the times there; return its switches."""
         gaps = np.diff(times)
+        if not len(gaps) or np.ptp(gaps) <= 1e-9 * gaps[0]:
+            self.max_step = min([self.max_step, *gaps[:1].tolist()])
+            return times[:0]
         self._times, self._gaps = times.tolist(), [*gaps.tolist(), *gaps[-1:].tolist()]
         # LSODA's longest step is fixed from start to start.
-        uneven = self.method == "LSODA" and len(gaps) and np.ptp(gaps) > 1e-9 * gaps[0]
-        return times if uneven else times[:0]
+        return times if self.method == "LSODA" else times[:0]
 
     def _longest(self, t: float) -> float:
         """The longest step from a time."""
@@ -200,7 +204,6 @@ class Solver:
             def fast(t: float, y: np.ndarray, policy: Policy = policy) -> np.ndarray:
                 return flow(y.reshape(shape), policy, t).ravel() if batch else flow(y, policy, t)
 
-            flow.trouble = ""
             y = self._flat(steps.state)
             slope = rate(start, y)
             # A solver that cannot choose its first step would look for it forever.
@@ -228,6 +231,7 @@ class Solver:
                 if count % _CHECK_EVERY == 0:
                     self._check_pace(steps, last, count, mark)
                     mark = steps.time
+            flow.trouble = ""
 
     def _start(
         self, rate: Any, t: float, y: np.ndarray, end: float, shape: tuple[int, ...], first: float

@@ -27,7 +27,9 @@ from statebook.variants import variant
 _CHUNKS_PER_WORKER = 8  # enough for the work to even out, few enough to cost little
 _WORKERS = 8  # guess for an executor that does not say how many it has
 _LARGEST = 10_000  # points a task, so that what is on its way stays small
+_GENERATORS = (np.random.Generator, np.random.RandomState, random.Random)
 _AHEAD = 4  # times as many tasks may be on their way
+_SAID = "the function failed at ", "function must return "  # by _evaluate, not an executor
 _ELSEWHERE = (
     "define it with def at the top of a module that can be imported, or give"
     " executor=ThreadPoolExecutor()"
@@ -160,7 +162,7 @@ def sweep(
                     try:
                         found = future.result()
                     except Exception as error:
-                        if type(error) in (RuntimeError, TypeError, ValueError):  # _evaluate's
+                        if str(error).startswith(_SAID):
                             raise
                         parts = [part]
                         if isinstance(error, BrokenExecutor):
@@ -193,7 +195,8 @@ def _shape(grid: Any) -> tuple[int, ...]:
     if not isinstance(grid, Mapping):
         raise TypeError(f"grid must map parameters to their values, got {type(grid).__name__}")
     for name, values in grid.items():
-        sized = hasattr(values, "__len__") and getattr(values, "ndim", 1) > 0
+        # A set has no order that results could follow.
+        sized = hasattr(values, "__getitem__") and getattr(values, "ndim", 1) > 0
         if isinstance(values, str | bytes) or not sized:
             raise TypeError(f"grid must hold a sequence of values of {name}, got {values!r}")
     shape = tuple(len(values) for values in grid.values())
@@ -216,38 +219,72 @@ def _entropy(function: Any, grid: Mapping[str, Any], seed: int | None) -> tuple[
     if not callable(function):
         raise TypeError(f"function must be callable, got {function!r}")
     try:
-        wants = "rng" in inspect.signature(function).parameters and "rng" not in grid
+        rng = inspect.signature(function).parameters.get("rng")
     except (TypeError, ValueError):  # built in C: nothing to read
-        wants = False
-    for name, value in _outside(function):
-        if isinstance(value, np.random.Generator | np.random.RandomState | random.Random):
-            raise ValueError(
-                f"function must not draw from the generator {name} outside of it: each process"
-                " would repeat its numbers; give the function a parameter rng, and sweep a seed="
-            )
+        rng = None
+    wants = rng is not None and "rng" not in grid
+    if name := generator_outside(function):
+        raise ValueError(
+            f"function must not draw from the generator {name} outside of it: each process"
+            " would repeat its numbers; give the function a parameter rng, and sweep a seed="
+        )
     if seed is not None and not wants:
         raise TypeError("seed is for a function with a parameter rng, which this one has not")
+    if seed is None and rng and wants and rng.default is rng.empty:
+        raise TypeError("seed is required for a function with a parameter rng: give an integer")
     if seed is None:
         return int.from_bytes(np.random.default_rng().bytes(16), "little"), False
     return _validate.integer("seed", seed), True
 
 
-def _outside(function: Any, known: tuple[Any, ...] = ()) -> list[tuple[str, Any]]:
-    """Names and values that a function, and those of its module that it calls, take from around."""
-    found: list[tuple[str, Any]] = []
-    while hasattr(function, "func"):  # functools.partial
-        found += [*function.keywords.items(), *((repr(a), a) for a in function.args)]
-        function = function.func
-    function = getattr(function, "__func__", function)
-    if inspect.isfunction(function) and function not in known:
-        parameters = inspect.signature(function).parameters
-        found += [(name, p.default) for name, p in parameters.items()]
-        around = inspect.getclosurevars(function)
-        found += [*around.globals.items(), *around.nonlocals.items()]
-        for _, value in found.copy():
-            if getattr(value, "__module__", None) == function.__module__:
-                found += _outside(value, (*known, function))
-    return found
+def generator_outside(function: Any) -> str | None:
+    """Name a random generator that a function takes from around.
+
+    Looked for in its arguments by functools.partial, its defaults, its closure, its module, and
+    so on in what it calls there.
+
+    Parameters
+    ----------
+    function : callable
+
+    Returns
+    -------
+    str or None
+
+    Examples
+    --------
+    >>> generator_outside(np.random.default_rng(1).normal)
+    '__self__'
+    """
+    known, waiting = {}, [("", function)]
+    while waiting:
+        name, value = waiting.pop()
+        if isinstance(value, _GENERATORS):
+            return name
+        if id(value) not in known:
+            known[id(value)] = value
+            waiting += _parts(value)
+    return None
+
+
+def _parts(value: Any) -> list[tuple[str, Any]]:
+    """Names and values that a function, an object or a partial holds, or takes from around."""
+    if isinstance(value, partial):
+        named = [*value.keywords.items(), *((repr(a), a) for a in value.args)]
+        return [*named, ("", value.func)]
+    if inspect.ismethod(value):
+        return [("__self__", value.__self__), ("", value.__func__)]
+    if not inspect.isfunction(value):
+        skip = inspect.ismodule(value) or inspect.isclass(value)
+        return [] if skip else [*getattr(value, "__dict__", {}).items()]
+    parameters = inspect.signature(value).parameters
+    around = inspect.getclosurevars(value)
+    of_module = [
+        (name, v)
+        for name, v in around.globals.items()
+        if getattr(v, "__module__", None) == value.__module__ or isinstance(v, _GENERATORS)
+    ]
+    return [*((k, p.default) for k, p in parameters.items()), *around.nonlocals.items(), *of_module]
 
 
 def _require_module(function: Any) -> None:

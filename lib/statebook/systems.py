@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from statebook import _validate
+from statebook import _validate, rates
 from statebook.models.base import Model
 from statebook.probes import (
     arguments_of,
@@ -173,7 +174,8 @@ def as_system(
     Parameters
     ----------
     system : library model, function, control.NonlinearIOSystem or control.StateSpace
-        A function is f(x), f(x, u) or f(x, u, t). A System is returned as it is.
+        A function is f(x), f(x, u) or f(x, u, t); it may return a column (n, 1). A System is
+        returned as it is.
     x0, u0 : array, shape (n,) or (n, N) and (m,) or (m, N), optional
         An example state and input. A function needs x0 to know n; without u0 it is asked how
         many inputs it takes.
@@ -206,6 +208,8 @@ def as_system(
     >>> system.n, system.m, system.batched
     (2, 1, True)
     """
+    if isinstance(system, type):
+        raise TypeError(f"system must be an instance, got the class {system.__name__}")
     if isinstance(system, System):
         result = system
     elif hasattr(system, "to_nlsys") and hasattr(system, "dynamics"):
@@ -230,9 +234,10 @@ def as_system(
 
 def _from_model(model: Any) -> System:
     plain = getattr(type(model), "dynamics", None) is Model.dynamics
-    f = model.rate if plain else model.dynamics  # dynamics checks once more what System does
+    # Its dynamics would check once more what System does.
+    rate = model.rate if plain else partial(rates.of_model, model.dynamics)
     return System(
-        rate=lambda x, u, t: f(x, u),
+        rate=rate,
         states=tuple(model.states),
         inputs=tuple(model.inputs),
         linear=getattr(model, "linear", False),
@@ -244,15 +249,11 @@ def _from_model(model: Any) -> System:
 def _from_control(sys: Any) -> System:
     import control
 
+    rates.make_portable(control.StateSpace)
     if isinstance(sys, control.StateSpace):
-        A, B = np.asarray(sys.A), np.asarray(sys.B)
-
-        def rate(x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
-            return A @ x + B @ u
+        rate = partial(rates.linear, np.asarray(sys.A), np.asarray(sys.B))
     elif isinstance(sys, control.NonlinearIOSystem) and sys.nstates is not None:
-
-        def rate(x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
-            return np.array(sys.dynamics(t, x, u))  # it may be a buffer
+        rate = partial(rates.of_control, sys)
     else:
         raise TypeError(
             f"system must be in state space, got {type(sys).__name__};"
@@ -280,8 +281,8 @@ def _from_function(
     x0 = _validate.array(state_name, x0)
     if x0.ndim not in (1, 2):
         raise ValueError(f"{state_name} must have shape (n,) or (n, N), got {x0.shape}")
-    if dt is not None and dt is not True and (_validate.number("dt", dt) < 0):
-        raise ValueError(f"dt must be None, True or at least 0, got {dt}")
+    if dt is not None and dt is not True:
+        dt = _validate.non_negative("dt", dt)
     required, accepted = arguments_of(f)
     driven = required >= 2 or (u0 is not None and np.size(u0) > 0)
     if driven and accepted < 2:
@@ -289,13 +290,8 @@ def _from_function(
             f"{input_name} was given, but the function takes x alone: write it f(x, u)"
         )
     timed = driven and accepted == 3
-
-    def call(x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
-        return copied(f(x, u, t) if timed else f(x, u) if driven else f(x))
-
-    def rate(x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
-        return call(x.copy(), u.copy(), t)  # f must not change the caller's arrays
-
+    number = 3 if timed else 1 + driven
+    rate = partial(rates.of_function, f, number)
     state = x0 if x0.ndim == 1 else x0[:, 0]
     if u0 is None and driven:
         m = number_of_inputs(lambda u: rate(state, u, 0.0), state.size)
@@ -313,9 +309,9 @@ def _from_function(
     def at_start(x: np.ndarray, u: np.ndarray) -> np.ndarray:
         return rate(x, u, 0.0)
 
-    require_pure(lambda x, u: call(x, u, 0.0), (state, drive))
-    number = next(N for N in (3, 4, 5) if N not in (state.size, drive.size))
-    beside = spread_beside(state, number), spread_beside(drive, number)
+    require_pure(lambda x, u: copied(f(*(x, u, 0.0)[:number])), (state, drive))
+    columns = next(N for N in (3, 4, 5) if N not in (state.size, drive.size))
+    beside = spread_beside(state, columns), spread_beside(drive, columns)
     return System(
         rate=rate,
         states=tuple(f"x[{i}]" for i in range(state.size)),

@@ -1,8 +1,12 @@
 """The executor: reproducible outputs, one clear line for each failure."""
 
 import base64
+import itertools
 import os
 import re
+import subprocess
+import sys
+import time
 
 import nbformat
 import pytest
@@ -72,6 +76,33 @@ def test_a_cell_that_takes_too_long(tmp_path):
     assert done.returncode == 1
     assert "Timeout of 2 seconds exceeded executing cell" in done.stderr
     assert (tmp_path / "a.ipynb").read_bytes() == before
+
+
+def test_a_kernel_that_eats_memory_fails_alone(tmp_path):
+    pytest.importorskip("resource", reason="this system has no limits of memory")
+    limit = "import resource\nresource.setrlimit(resource.RLIMIT_AS, (2**32, 2**32))"
+    nbformat.write(new_notebook(cells=cells(limit, "x = bytearray(2**33)")), tmp_path / "a.ipynb")
+    nbformat.write(new_notebook(cells=cells("'whole'")), tmp_path / "b.ipynb")
+    before = (tmp_path / "a.ipynb").read_bytes()
+    command = [sys.executable, "-m", "nbregress", "refresh", "."]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
+    a, b, end = done.stderr.splitlines()
+    assert done.returncode == 1 and "1 of 2 notebooks failed" in end
+    assert "In [2] (cell 2 of 2): MemoryError" in a and "rewritten" in b
+    assert (tmp_path / "a.ipynb").read_bytes() == before
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.ipynb", "b.ipynb"]
+
+
+@pytest.mark.parametrize("step", [-3600.0, 86_400.0])
+def test_a_clock_that_jumps_ends_nothing_and_lengthens_nothing(tmp_path, monkeypatch, step):
+    nbformat.write(new_notebook(cells=cells("print(1)")), tmp_path / "a.ipynb")
+    nbformat.write(new_notebook(cells=cells("while True: pass")), tmp_path / "b.ipynb")
+    now = itertools.count(1.7e9, step)
+    monkeypatch.setattr(time, "time", lambda: next(now))
+    done = regression(tmp_path, "refresh", "--timeout", "2", ".")
+    a, b, _ = done.stderr.splitlines()
+    assert "rewritten, new outputs: In [1]" in a
+    assert "Timeout of 2 seconds exceeded executing cell" in b
 
 
 def test_executed_copy(run):

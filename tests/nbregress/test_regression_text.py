@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nbregress.comparison import Comparison
@@ -144,3 +144,72 @@ def test_any_text_is_compared(a, b):
     assert message is None or message
     if not any(c.isdigit() or c.isspace() for c in a + b) and "n" not in a + b:
         assert (message is None) == (a.replace("\u2212", "-") == b.replace("\u2212", "-"))
+
+
+# Words and numbers as notebooks print them, in the places where they stand.
+significant = st.floats(1e-3, 1e6).flatmap(lambda x: st.sampled_from([x, -x]))
+PLACES = (
+    "{}",
+    "x = {}",
+    "[{}]",
+    "mass {} kg, T = 2.0 s",
+    "({}, 'a')",
+    "a | {} | b",
+    "${} \\cdot m$",
+)
+DIGITS = ("{:.6g}", "{:.8e}", "{:.10f}", "{!r}")
+tokens = st.sampled_from(
+    [
+        "0.5",
+        "-0.5",
+        "1.25e-3",
+        "3",
+        "nan",
+        "[1. 2.]",
+        "a",
+        "True",
+        "\n",
+        "  ",
+        "0.50000001",
+        "|",
+        "(",
+    ]
+)
+
+
+@given(significant, st.floats(-1e-7, 1e-7), st.sampled_from(PLACES), st.sampled_from(DIGITS))
+def test_noise_in_the_last_digits_passes_either_way(value, noise, place, digits):
+    stored, new = (place.format(digits.format(x)) for x in (value, value * (1 + noise)))
+    if digits == "{:.10f}" or "e" in stored + new or len(stored) == len(new):
+        assert compare(stored, new) is None and compare(new, stored) is None
+
+
+@given(st.data(), significant, st.sampled_from(PLACES), st.sampled_from(DIGITS))
+def test_a_changed_leading_digit_never_passes(data, value, place, digits):
+    shown = digits.format(value)
+    first = next(k for k, c in enumerate(shown) if c in "123456789")
+    other = data.draw(st.sampled_from(sorted(set("123456789") - {shown[first]})))
+    changed = shown[:first] + other + shown[first + 1 :]
+    assert compare(place.format(shown), place.format(changed))
+    assert compare(place.format(changed), place.format(shown))
+
+
+@given(st.lists(tokens, max_size=9), st.lists(tokens, max_size=9))
+def test_who_is_stored_and_who_is_new_does_not_matter(a, b):
+    a, b = " ".join(a), " ".join(b)
+    assert (compare(a, b) is None) == (compare(b, a) is None)
+
+
+@given(st.lists(tokens, min_size=1, max_size=9), st.data())
+def test_what_is_added_or_missing_never_passes(words, data):
+    place = data.draw(st.integers(0, len(words)))
+    more = [*words[:place], data.draw(st.sampled_from(["0.5", "7", "new"])), *words[place:]]
+    assert compare(" ".join(words), " ".join(more)) and compare(" ".join(more), " ".join(words))
+
+
+@settings(deadline=None, max_examples=10)
+@given(st.text("0123456789.eE+-[](), \n:/a|<>&;", min_size=1, max_size=6))
+def test_no_piece_repeated_takes_time_that_grows_with_its_square(piece):
+    text = piece * (30_000 // len(piece))
+    assert compare(text, text) is None
+    compare(text + "x", text + "y")

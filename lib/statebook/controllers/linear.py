@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -121,29 +121,6 @@ def weight(name: str, value: Any, size: int, *, definite: bool = False) -> np.nd
     return _validate.semidefinite(name, matrix)
 
 
-class Portable:
-    """A controller that pickles, although a control.StateSpace does not."""
-
-    def __getstate__(self) -> dict[str, Any]:
-        import control
-
-        state = {name: value for name, value in vars(self).items() if name != "_plant"}
-        sys = state["system"]
-        if isinstance(sys, control.StateSpace):
-            matrices = map(np.asarray, (sys.A, sys.B, sys.C, sys.D))
-            names = {"states": sys.state_labels, "inputs": sys.input_labels, "name": sys.name}
-            names["outputs"] = sys.output_labels
-            state["system"] = partial(control.ss, *matrices, sys.dt, **names)
-        return state
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        import control
-
-        vars(self).update(state)
-        if getattr(state["system"], "func", None) is control.ss:
-            vars(self).update(system=state["system"]())
-
-
 _NEAR = 1e-4  # of the boundary, relative to A: rounding blurs repeated eigenvalues by so much
 
 
@@ -202,7 +179,7 @@ def gain_of(
 
 
 @dataclass(frozen=True, eq=False)
-class LQR(Portable):
+class LQR:
     """Linear-quadratic regulator at an equilibrium.
 
     u = u0 - K (x - x0), clipped to the limit, with the K that minimizes the integral (in
@@ -361,7 +338,7 @@ class LQR(Portable):
         error = self.error(x, t)
         return np.einsum("i...,ij,j...->...", error, self.S, error)
 
-    @property
+    @cached_property
     def level(self) -> float:
         """The cost to go below which no input reaches its limit."""
         if self.limit is None:
@@ -398,7 +375,7 @@ class LQR(Portable):
         # C x - r, as C Nx = I: the way round a circle included.
         error = self.C @ self.error(y, t)[:n]
         z = unwound(error, u, self.K[:, n:], self.limit)
-        return np.concatenate([motion, y[n:] + z if system.discrete else z + 0 * y[n:]])
+        return np.concatenate([motion, y[n:] + z if system.discrete else z])
 
 
 def at_rest_at(target: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -423,7 +400,7 @@ def holding_control(system: System, target: Any, limit: float | None) -> np.ndar
 
 
 @dataclass(frozen=True, eq=False)
-class PD(Portable):
+class PD:
     """Proportional-derivative control of positions towards a target.
 
     u = u0 - kp (q - target) - kd v, clipped to the limit, where u0 holds the target.

@@ -160,7 +160,10 @@ def explore(
             raise ValueError(f"{text} must say what the figure shows, got {content!r}")
     points = [dict(zip(lists, point, strict=True)) for point in itertools.product(*lists.values())]
     first = int(np.ravel_multi_index(places, [len(sequence) for sequence in lists.values()]))
-    drawn = [_drawn(draw, point, still=number == first) for number, point in enumerate(points)]
+    layouts: _Layouts = {}
+    drawn = [
+        _drawn(draw, point, layouts, still=number == first) for number, point in enumerate(points)
+    ]
     failures = tuple(frame.failure for frame in drawn if frame.failure)
     if len(failures) == len(drawn):
         raise ValueError(f"draw must draw at least one frame; {failures[0]}")
@@ -172,7 +175,7 @@ def explore(
         caption=caption,
         alt=alt,
         failures=failures,
-        still=drawn[first].png or _drawn(draw, points[drawn.index(whole)], still=True).png,
+        still=drawn[first].png or _drawn(draw, points[drawn.index(whole)], layouts, still=True).png,
         digests={
             kind: {"frames": [frame.digests.get(kind, {}) for frame in drawn]}
             for kind in whole.digests
@@ -234,9 +237,15 @@ class _Frame:
     png: bytes = b""
 
 
-def _drawn(draw: Callable[..., Any], point: Mapping[str, Any], *, still: bool) -> _Frame:
+_Layouts = dict[tuple[Any, ...], list[Any]]
+
+
+def _drawn(
+    draw: Callable[..., Any], point: Mapping[str, Any], layouts: _Layouts, *, still: bool
+) -> _Frame:
     """Draw one frame; a frame that fails says so."""
     import matplotlib.pyplot as plt
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     options: Any = {"figure.figsize": _SIZE, "svg.hashsalt": "statebook", "svg.fonttype": "path"}
     with plt.ioff(), plt.rc_context(options):
@@ -245,8 +254,18 @@ def _drawn(draw: Callable[..., Any], point: Mapping[str, Any], *, still: bool) -
             plt.figure()  # or draw would paint over a figure that is open
             draw(**point)
             figure = plt.gcf()
+            words = _words(figure)
+            if words in layouts:
+                figure.set_layout_engine("none")
+                for ax, place in zip(figure.axes, layouts[words], strict=True):
+                    ax.set_position(place)
             file, picture = io.StringIO(), io.BytesIO()
-            figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
+            dpi, canvas = figure.dpi, FigureCanvasSVG(figure)
+            canvas.print_svg(  # type: ignore[no-untyped-call]
+                file, metadata={"Date": None, "Creator": None}
+            )
+            figure.dpi = dpi
+            layouts.setdefault(words, [ax.get_position(original=True) for ax in figure.axes])
             if still:
                 figure.savefig(picture, format="png", dpi=_STILL_DPI, metadata={"Software": None})
             return _Frame(_slim(file.getvalue()), _digests(figure), png=picture.getvalue())
@@ -257,6 +276,16 @@ def _drawn(draw: Callable[..., Any], point: Mapping[str, Any], *, still: bool) -
         finally:
             for number in set(plt.get_fignums()) - before:
                 plt.close(number)
+
+
+def _words(figure: Any) -> tuple[Any, ...]:
+    """What decides where a figure's axes lie: frames that share it share their layout."""
+    words = []
+    for ax in figure.axes:
+        labels = [text.get_text() for text in (ax.title, ax.xaxis.label, ax.yaxis.label)]
+        widest = max((len(tick.get_text()) for tick in ax.get_yticklabels()), default=0)
+        words.append((*(label and label.count("\n") for label in labels), widest))
+    return tuple(words)
 
 
 def _digests(figure: Any) -> dict[str, Any]:

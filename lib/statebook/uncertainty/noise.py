@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,6 +17,31 @@ _ROUNDING = 1e-10  # of an eigenvalue or a correlation
 _SHORT = 0.5
 _NODES = 8  # of Gauss-Legendre quadrature: exact up to degree 15
 _TERMS = 18  # of the series
+PAGE = 8192  # trajectories that draw from one generator
+_first = ContextVar("number of the first trajectory", default=0)
+
+
+@contextmanager
+def counted_from(first: int) -> Iterator[None]:
+    """Within, the trajectories of every noise begin with this number.
+
+    Parameters
+    ----------
+    first : int >= 0
+
+    Examples
+    --------
+    >>> noise = HeldNoise(1.0, 0.1, seed=1)
+    >>> with counted_from(2):
+    ...     third = noise(0.0)
+    >>> bool(third[0] == noise(0.0, number=3)[0, 2])
+    True
+    """
+    token = _first.set(first)
+    try:
+        yield
+    finally:
+        _first.reset(token)
 
 
 def covariance_matrix(name: str, value: Any, size: int | None = None) -> np.ndarray:
@@ -191,10 +219,15 @@ class HeldNoise:
         t = _validate.non_negative("t", t)
         # A tick k * period must not fall into period k - 1 by rounding.
         tick = int(np.floor(t / self.period * (1 + 1e-12) + 1e-9))
-        generator = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(tick,)))
-        count = 1 if number is None else _validate.integer("number", number, 1)
-        # One row a trajectory: more of them leave the first ones as they are.
-        values = generator.standard_normal((count, self.size)) @ self._root.T + self.bias
+        first, count = _first.get(), 1 if number is None else _validate.integer("number", number, 1)
+        rows = []
+        for page in range(first // PAGE, -(-(first + count) // PAGE)):
+            key = (tick, page) if page else (tick,)
+            generator = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
+            # One row a trajectory: more of them leave the first ones as they are.
+            height = min(first + count - page * PAGE, PAGE)
+            rows.append(generator.standard_normal((height, self.size)))
+        values = np.concatenate(rows)[first % PAGE :] @ self._root.T + self.bias
         return values[0] if number is None else values.T
 
     def __repr__(self) -> str:

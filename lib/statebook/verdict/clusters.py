@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 
 from statebook.verdict.blocks import Block, assemble, inverse, rounding, spectral_norm
-from statebook.verdict.level_sets import boundary_distance, margin, project
+from statebook.verdict.level_sets import is_near_boundary, margin, project
 
 TINY = float(np.finfo(float).tiny)
 # A Jordan coupling this many times above rounding is beyond doubt.
@@ -151,6 +151,8 @@ def separated(block: Block, tol: float, margins: np.ndarray) -> tuple[np.ndarray
 def _invariant(block: Block, members: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Orthonormal basis of the invariant subspace of some eigenvalues, and T on it."""
     p = len(members)
+    if p == len(block.T):
+        return block.Q, block.T
     V, R = np.linalg.qr(block.modes[0][:, members])
     if np.abs(R.diagonal()).min() > _INDEPENDENT:
         return block.Q @ V, np.triu(R * block.T.diagonal()[members] @ np.linalg.inv(R))
@@ -169,10 +171,9 @@ def _reach(T: np.ndarray, size: float) -> float:
     if p == 1:
         return size
     diagonal = T.diagonal()
-    powers = np.arange(p)
-    terms = p * size * np.linalg.norm(np.triu(T, 1)) ** powers
-    spread = np.abs(diagonal - diagonal.mean()).max()
-    return float(spread + (terms ** (1 / (powers + 1))).max())
+    share = 1 / (np.arange(p) + 1)
+    terms = (p * size) ** share * np.linalg.norm(np.triu(T, 1)) ** (1 - share)
+    return float(np.abs(diagonal - diagonal.mean()).max() + terms.max())
 
 
 def _leading(block: Block, members: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -196,7 +197,7 @@ def _judged(number: int, block: Block, group: Group, discrete: bool) -> Cluster:
     inside = margin(mean, discrete)
     # The mean stays beyond, or all of them inside.
     certain = -inside > radius or inside > _reach(T, radius)
-    if certain or (p > 1 and worst > 0 and boundary_distance(T, discrete, radius) > radius):
+    if certain or (p > 1 and worst > 0 and not is_near_boundary(T, discrete, radius)):
         clear = True
     elif not single or abs(mean - on_boundary) > _blur(block, group, discrete):
         clear = False
@@ -214,13 +215,37 @@ def _judged(number: int, block: Block, group: Group, discrete: bool) -> Cluster:
 
 
 def _is_single(N: np.ndarray, radius: float) -> bool:
-    """Whether N is nilpotent to within radius: null space by null space, by staircase."""
-    while len(N):
-        _, s, Vh = np.linalg.svd(N)
-        rest = Vh[s > radius]
-        if len(rest) == len(N):
+    """Whether N is nilpotent to within radius: null vector by null vector, by staircase."""
+    largest = np.abs(N).max() + TINY
+    N, radius = N / largest, radius / largest
+    size = len(N) ** 0.5 * radius
+    # With N - E nilpotent trace(N^2) is trace(E (2 N - E)), and norm_F(E) at most this size.
+    if abs(np.sum(N * N.T)) > size * (2 * np.linalg.norm(N) + size):
+        return False
+    start = np.random.default_rng(0).normal(size=len(N)).astype(complex)
+    while n := len(N):
+        lu, pivots, _ = scipy.linalg.lapack.zgetrf(N)
+        pivot = lu.diagonal()
+        np.fill_diagonal(lu, np.where(np.abs(pivot) > 1e-3 * radius, pivot, 1e-3 * radius))
+        x, found = start[:n], np.zeros((n, 0))
+        for adjoint in (2, 0, 2):
+            x, _ = scipy.linalg.lapack.zgetrs(lu, pivots, x / np.linalg.norm(x), trans=adjoint)
+        # A null vector of N, then those of what N is across the ones before: its chain.
+        while found.shape[1] < n:
+            x, _ = scipy.linalg.lapack.zgetrs(lu, pivots, x / np.linalg.norm(x))
+            for _ in range(2):
+                x = x - found @ (found.conj().T @ x)
+            x /= np.linalg.norm(x)
+            rest = N @ x
+            rest = np.linalg.norm(rest - found @ (found.conj().T @ rest))
+            # A chain's errors add up: a new start costs less than they would.
+            if rest > (0.03 * radius if found.size else radius):
+                break
+            found = np.column_stack([found, x])
+        if not found.size:
             return False
-        N = rest @ N @ rest.conj().T
+        across = np.linalg.qr(found, mode="complete")[0][:, found.shape[1] :]
+        N = across.conj().T @ N @ across
     return True
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +19,7 @@ from statebook.verdict.blocks import (
     with_comparable_couplings,
 )
 from statebook.verdict.clusters import Cluster, clusters, shared_jordan_points
-from statebook.verdict.level_sets import boundary_distance, margin
+from statebook.verdict.level_sets import is_near_boundary, margin
 from statebook.verdict.words import format_complex, sorting
 
 ASYMPTOTICALLY_STABLE = "asymptotically stable"
@@ -78,10 +79,7 @@ def judge(
         verdict = ASYMPTOTICALLY_STABLE
         if check_distance and (doubt or len(blocks) > 1):
             # Beyond what the clusters prove, the distance to instability decides.
-            doubt = any(
-                _too_close(A[np.ix_(index, index)], discrete, precision)
-                for index in weak_components(A)
-            )
+            doubt = any(_too_close(A, part, discrete, precision) for part in _parts(A, blocks))
             tolerance = max(tolerance, size) if doubt else tolerance
     if not doubt and size != 0:
         tolerance = min(tolerance, abs(size))  # the sign is certain, however loose the bound
@@ -141,26 +139,32 @@ def _locate(
     return values, np.where(on_boundary, 0.0, margin(values, discrete)), certain
 
 
-def _in_best_units(A: np.ndarray, discrete: bool) -> list[tuple[np.ndarray, float]]:
-    """A matrix that falls into no parts, in two choices of units, and the 2-norm in each."""
-    blocks = decompose(A)
-    if len(blocks) == 1:
-        candidates = [blocks[0].matrix]
-    else:
-        candidates = [
-            scipy.linalg.matrix_balance(A)[0],
-            with_comparable_couplings(A, blocks, discrete),
-        ]
+def _parts(A: np.ndarray, blocks: list[Block]) -> Iterator[list[Block]]:
+    """The blocks of each set of states that shares no coupling with the others."""
+    for index in weak_components(A):
+        yield [block for block in blocks if block.index[0] in index]
+
+
+def _in_best_units(
+    A: np.ndarray, blocks: list[Block], discrete: bool
+) -> list[tuple[np.ndarray, float]]:
+    """Blocks together in two choices of units, the first in Schur form, and the 2-norm in each."""
+    T, Q, _ = assemble(A, blocks)
+    candidates = [T]
+    if len(blocks) > 1:
+        B = with_comparable_couplings(A, blocks, discrete)
+        index = np.concatenate([block.index for block in blocks])
+        balanced = scipy.linalg.matrix_balance(A[np.ix_(index, index)])[0]
+        candidates = [np.triu(Q.conj().T @ B @ Q), balanced]
     floor = 1.0 if discrete else 0.0
     return [(B, max(spectral_norm(B), floor)) for B in candidates]
 
 
-def _too_close(A: np.ndarray, discrete: bool, precision: float) -> bool:
-    """Whether a stable matrix is within rounding of instability, in the best of units."""
+def _too_close(A: np.ndarray, blocks: list[Block], discrete: bool, precision: float) -> bool:
+    """Whether stable blocks are within rounding of instability, in the best of units."""
     return all(
-        boundary_distance(B, discrete, rounding(norm, len(B), precision))
-        <= rounding(norm, len(B), precision)
-        for B, norm in _in_best_units(A, discrete)
+        is_near_boundary(B, discrete, rounding(norm, len(B), precision))
+        for B, norm in _in_best_units(A, blocks, discrete)
     )
 
 
@@ -169,9 +173,10 @@ def _whole_rounding(
 ) -> np.ndarray:
     """Rounding, for each eigenvalue, of all that its block is coupled to, in the best of units."""
     size = np.zeros(len(A))
-    for index in weak_components(A):
-        units = _in_best_units(A[np.ix_(index, index)], discrete)
-        size[index] = rounding(min(norm for _, norm in units), len(index), precision)
+    for part in _parts(A, blocks):
+        norm = min(norm for _, norm in _in_best_units(A, part, discrete))
+        index = np.concatenate([block.index for block in part])
+        size[index] = rounding(norm, len(index), precision)
     return size[np.concatenate([block.index for block in blocks])]
 
 

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 import scipy
 
+from statebook.verdict.blocks import EPS
+
 # Level sets are taken this far below the best value, so that the sets are not empty by rounding.
 _BELOW = 1e-10
 # How far from the boundary, relative to the norm, an eigenvalue may lie and count as on it.
@@ -46,24 +48,59 @@ def boundary_distance(A: np.ndarray, discrete: bool, enough: float = 0.0) -> flo
     A = A / unit
     eigenvalues = np.linalg.eigvals(A)
     nearest = eigenvalues[np.argsort(margin(eigenvalues, discrete))[:_STARTS]]
-    best, where = _lowest(A, np.unique(project(nearest, discrete)))
+    starts = dict.fromkeys(project(nearest, discrete).tolist())
+    best = np.inf
+    for start in starts:
+        best = min(best, _lowest(A, np.array([start])))
+        if unit * best <= enough:
+            break
     while unit * best > enough:
-        # Invariant: best = sigma_min at the boundary point `where`; the level is just below it.
+        # Invariant: best is sigma_min at a point of the boundary; the level is just below it.
         crossings = _level_set(A, best * (1 - _BELOW), discrete)
         if len(crossings) == 0:
             break  # certainly the minimum
-        value, point = _lowest(A, _midpoints(crossings, discrete))
+        value = _lowest(A, _midpoints(crossings, discrete))
         if value >= best * (1 - _BELOW):
             break
-        best, where = value, point
-    return unit * min(best, _polish(A, where, best, discrete))
+        best = value
+    return unit * best
 
 
-def _lowest(A: np.ndarray, points: np.ndarray) -> tuple[float, complex]:
+def is_near_boundary(A: np.ndarray, discrete: bool, radius: float) -> bool:
+    """Whether a perturbation within radius puts an eigenvalue on the boundary; if not, by proof.
+
+    Lyapunov's: where ``T^H P + P T = -R`` (``T^H P T - P = -R`` for maps) with R > 0 no
+    eigenvalue of T is there, nor of T + E if R is larger than what norm(E) <= radius adds. It
+    costs a triangular equation, and however P was computed, R is what counts. Level sets have
+    the last word where it falls short.
+    """
+    T = scipy.linalg.schur(A, output="complex")[0] if np.tril(A, -1).any() else A.astype(complex)
+    with np.errstate(all="ignore"):
+        proved = np.all(margin(T.diagonal(), discrete)) and _stays_off(T, discrete, radius)
+    return not proved and boundary_distance(T, discrete, radius) <= radius
+
+
+def _stays_off(T: np.ndarray, discrete: bool, radius: float) -> bool:
+    """Whether P for R = I proves that T, triangular, keeps off the boundary."""
+    n, one = len(T), np.eye(len(T))
+    F, C = T, one
+    if discrete:
+        # The same P for (T - I)(T + I)^-1.
+        W = scipy.linalg.solve_triangular(T + one, one, check_finite=False)
+        F, C = one - 2 * W, 2 * W.conj().T @ W
+    X, scale, _ = scipy.linalg.lapack.ztrsyl(F, F, -C, trana="C")
+    P = (X + X.conj().T) / (2 * scale)
+    R = P - T.conj().T @ P @ T if discrete else -T.conj().T @ P - P @ T
+    # A bound of the 2-norm of T with its entries made positive, which bounds rounding in R.
+    size = float(np.linalg.norm(T, 1) * np.linalg.norm(T, np.inf)) ** 0.5
+    growth = 2 * size + radius if discrete else 2.0
+    blur = growth * radius + 4 * n * EPS * (1 + size**2 if discrete else size)
+    return bool(np.linalg.norm(R - one) + blur * np.linalg.norm(P) < 1)
+
+
+def _lowest(A: np.ndarray, points: np.ndarray) -> float:
     shifted = A - points[:, None, None] * np.eye(len(A))
-    values = np.linalg.svd(shifted, compute_uv=False)[:, -1]
-    k = int(np.argmin(values))
-    return float(values[k]), complex(points[k])
+    return float(np.linalg.svd(shifted, compute_uv=False)[:, -1].min())
 
 
 def _level_set(A: np.ndarray, level: float, discrete: bool) -> np.ndarray:
@@ -86,18 +123,3 @@ def _midpoints(positions: np.ndarray, discrete: bool) -> np.ndarray:
     if len(positions) == 1:
         return 1j * positions
     return 1j * (positions[1:] + positions[:-1]) / 2
-
-
-def _polish(A: np.ndarray, where: complex, best: float, discrete: bool) -> float:
-    """Descend to the bottom of the valley that the level sets have found."""
-    start = np.angle(where) if discrete else where.imag
-
-    def value(position: float) -> float:
-        point = np.exp(1j * position) if discrete else 1j * position
-        return _lowest(A, np.array([point]))[0]
-
-    width = max(best, np.sqrt(_BELOW))
-    found = scipy.optimize.minimize_scalar(
-        value, bounds=(start - width, start + width), method="bounded", options={"xatol": 1e-9}
-    )
-    return float(found.fun)

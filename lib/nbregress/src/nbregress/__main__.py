@@ -1,13 +1,16 @@
-"""Command line: ``nbregress execute|refresh|diff``, or ``python -m nbregress``."""
+"""Execute notebooks and store their outputs reproducibly."""
 
-import argparse
-import ast
-import os
 import sys
-from collections import Counter
-from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
+
+try:
+    import argparse
+    import ast
+    import os
+    from collections.abc import Sequence
+    from pathlib import Path
+    from typing import Any
+except KeyboardInterrupt:
+    sys.exit("interrupted: nothing was begun")
 
 
 def _assignment(text: str) -> tuple[str, Any]:
@@ -21,9 +24,7 @@ def _assignment(text: str) -> tuple[str, Any]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="nbregress", description="Execute notebooks and store their outputs reproducibly."
-    )
+    parser = argparse.ArgumentParser(prog="nbregress", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     settings = argparse.ArgumentParser(add_help=False)
     for name, metavar, text in (
@@ -33,9 +34,7 @@ def _parser() -> argparse.ArgumentParser:
     ):
         settings.add_argument(f"--{name}", metavar=metavar, help=text)
     common = argparse.ArgumentParser(add_help=False, parents=[settings])
-    common.add_argument(
-        "files", nargs="+", metavar="FILE", help="an .ipynb file, a folder, or a pattern"
-    )
+    common.add_argument("files", nargs="+", metavar="FILE", help="a notebook, folder or pattern")
     jobs = "notebooks to run at a time (default: the number of processors)"
     common.add_argument("--jobs", type=int, default=os.cpu_count() or 1, metavar="N", help=jobs)
     common.add_argument("--timeout", metavar="S", help="longest time for one cell (default: 300 s)")
@@ -74,12 +73,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         0 if every notebook ran (and none differs), 1 otherwise.
     """
     parser = _parser()
+    try:
+        return _run(parser, arguments)
+    except KeyboardInterrupt:
+        parser.exit(130, "interrupted: what was written is whole, the rest is as it was\n")
+
+
+def _run(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> int:
     options = parser.parse_args(arguments)
     # Only now: Jupyter's packages take a second to load, too long for --help.
     try:
         from nbregress.batch import find_notebooks, run_all
         from nbregress.store import keep_agreeing, write
         from nbregress.stored import diff
+        from nbregress.textdiff import cut
     except ModuleNotFoundError as error:
         missing = (error.name or "nbregress").partition(".")[0]
         if missing == "nbregress":
@@ -99,7 +106,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name in unknown:
         print(f"no notebook is named {name}", file=sys.stderr)
     if options.command == "execute":
-        repeated = [name for name, n in Counter(p.name for p in paths).items() if n > 1]
+        repeated = [p.name for p in paths if [q.name for q in paths].count(p.name) > 1]
         if repeated:
             parser.error(f"two files are named {repeated[0]}; use one --output-dir for each")
         options.output_dir.mkdir(parents=True, exist_ok=True)
@@ -114,7 +121,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         changed, kept = ["all"], list[str]()
         if not options.all:
             changed, kept = keep_agreeing(run.stored, nb, run.settings)
-        names = ", ".join(changed)
+        names, same = (cut(", ".join(cells)) for cells in (changed, kept))
         if options.check:
             stale.extend([path] if changed else [])
             return f"differs in {names}" if changed else "agrees"
@@ -123,16 +130,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             outcome += f", new outputs: {names}"
         if kept:
             outcome += (
-                f" (kept {', '.join(kept)}: within the tolerance, or another style of the same "
-                "figure; --all replaces them)"
+                f" (kept {same}: within the tolerance, or another style of the same figure; --all "
+                "replaces them)"
             )
         return outcome
 
     finish = copy if options.command == "execute" else replace
-    try:
-        failed = run_all(paths, finish, jobs=options.jobs, given=given)
-    except KeyboardInterrupt:
-        parser.exit(130, "interrupted: what was written is whole, the rest is as it was\n")
+    failed = run_all(paths, finish, jobs=options.jobs, given=given)
     for which, what in ((failed, "failed"), (stale, "would change")):
         if which:
             names = ", ".join(map(str, which))

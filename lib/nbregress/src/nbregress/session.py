@@ -3,7 +3,6 @@
 import asyncio
 import os
 import re
-import signal
 import subprocess
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -103,6 +102,21 @@ def notebook_language(nb: Any) -> str:
     return re.sub(r"^i?python[\d.]*$", "python", str(language).lower())
 
 
+def other_language(nb: Any) -> str:
+    """What is to be said of a notebook in another language than Python; else empty.
+
+    Parameters
+    ----------
+    nb : nbformat.NotebookNode
+
+    Returns
+    -------
+    note : str
+    """
+    language = notebook_language(nb)
+    return f"language {language}: text compared, figures by pixels" if language != "python" else ""
+
+
 class Session(NotebookClient):
     """A notebook with a kernel of its own.
 
@@ -122,6 +136,7 @@ class Session(NotebookClient):
             record_timing=False,
             coalesce_streams=False,
             iopub_timeout=60,
+            startup_timeout=10**9,  # by a clock that may be set; `start` has a better one
             timeout_func=lambda cell: settings.timeout,
             resources={"metadata": {"path": str(folder)}},
             on_cell_executed=self._remember,
@@ -164,7 +179,7 @@ class Session(NotebookClient):
             kept = {name: value for name, value in os.environ.items() if not _DROPPED.match(name)}
             environment = {**kept, **_FIXED, **self.settings.env}
             await self.async_start_new_kernel(env=environment, stderr=subprocess.DEVNULL)
-            await self.async_start_new_kernel_client()
+            await asyncio.wait_for(self.async_start_new_kernel_client(), 60)
             if language == "python":
                 package = Path(__file__).parent
                 await self._silently(_LOAD.format(str(package / "__init__.py"), str(package)))
@@ -243,12 +258,9 @@ class Session(NotebookClient):
     async def _obituary(self) -> str:
         process: Any = getattr(getattr(self.km, "provisioner", None), "process", None)
         code = process.poll() if process is not None else None
-        if code is not None and code == -getattr(signal, "SIGKILL", 9):
-            return (
-                "the kernel died while executing this cell: the system killed it, as it does "
-                "when memory runs out"
-            )
         end = f" (exit code {code})" if code is not None else ""
+        if code == -9:
+            end = ": the system killed it, as it does when memory runs out"
         return f"the kernel died while executing this cell{end}"
 
 
