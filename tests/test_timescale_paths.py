@@ -179,10 +179,10 @@ def test_torques_along_pieces_of_unlike_lengths(shortest: float) -> None:
     assert 0.99 < (used / limit[:, None]).max() <= 1 + 1e-6
 
 
-@pytest.mark.parametrize("smaller", [1e-1, 1e-3, 1e-5])
+@pytest.mark.parametrize("smaller", [1e-2, 1e-4, 1e-6])
 def test_jerk_beside_bounds_of_which_one_is_far_smaller(smaller: float) -> None:
-    path = sb.Path.through([[0.0, 1.0, 0.5], [0.0, 0.3, 1.0]])
+    path = sb.Path.through([[0.0, 1.0], [0.0, 0.3]])
     acceleration = [(-smaller, 10.0), (-2.0, 3.0)]
-    timed = sb.time_scale(path, 5.0, acceleration, jerk=20.0, tolerance=0.02)
+    timed = sb.time_scale(path, 5.0, acceleration, jerk=20.0, tolerance=0.1)
     use = sampled_use(timed, acceleration=lambda s: np.array(acceleration))
     assert 0.99 < use <= 1 + 1e-9
