@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 import pickle
+from typing import Any
 
 import numpy as np
 import pytest
-from scipy.interpolate import PPoly, make_interp_spline
+from scipy.interpolate import CubicHermiteSpline, PPoly, make_interp_spline
 
 import statebook as sb
 
@@ -107,3 +108,81 @@ def test_bounds_of_zero() -> None:
     with pytest.raises(sb.InfeasiblePathError) as caught:
         sb.time_scale(down, **limits)
     assert caught.value.constraint == "velocity of joint 0, lower limit"
+
+
+def sampled_use(timed: sb.TimedPath, **bounds: Any) -> float:
+    """Largest use of bounds (dof, 2), functions of s, in the middle of many short times."""
+    t = np.union1d(timed.times, np.linspace(0, timed.duration, 2000))
+    t = (t[1:] + t[:-1]) / 2
+    s = timed.progress(t)[0]
+    worst = 0.0
+    for name, bound in bounds.items():
+        lower, upper = np.moveaxis(np.array([bound(one) for one in s]), 0, -1).swapaxes(0, 1)
+        values = getattr(timed, name)(t)
+        worst = max(worst, float(np.maximum(values / lower, values / upper).max()))
+    return worst
+
+
+@pytest.mark.parametrize("least", [1e-2, 1e-4, 1e-6])
+@pytest.mark.parametrize("which", ["velocity", "acceleration"])
+def test_bounds_that_fall_steeply_between_waypoints(which: str, least: float) -> None:
+    path = sb.Path.through([[0.0, 1.0, 2.0, 3.0], [0.0, 2.0, 1.0, 0.5]], kind="cubic")
+    steep = np.array([1e3, least, 1e3, 10 * least])
+    given = {"velocity": np.full(4, 1e3), "acceleration": np.full(4, 1e3)} | {which: steep}
+    both = {name: np.tile([-values, 2 * values], (2, 1, 1)) for name, values in given.items()}
+    timed = sb.time_scale(path, **both)
+    use = sampled_use(
+        timed,
+        **{
+            name: lambda s, of=values: np.tile(
+                np.interp(s, path.waypoint_s, of) * np.array([-1.0, 2.0]), (2, 1)
+            )
+            for name, values in given.items()
+        },
+    )
+    assert 0.99 < use <= 1 + 1e-9
+
+
+@pytest.mark.parametrize("near", [1e-7, 1e-10, 3e-12])
+def test_bounds_at_waypoints_that_are_nearly_one(near: float) -> None:
+    s = np.array([0.0, 0.3, 0.3 + near, 0.7, 1.0])
+    path = sb.Path.through([[0.0, 1.0, 1.0, 0.0, 2.0], [0.0, 0.0, 0.0, 1.0, 1.0]], s=s)
+    bound = np.array([1.0, 100.0, 1e-3, 0.5, 2.0])
+    given = {"velocity": 100.0, "acceleration": np.tile(bound, (2, 1))}
+    timed = sb.time_scale(path, **given, tolerance=0.02)
+
+    def acceleration(s: float) -> np.ndarray:
+        around = np.interp([s - 1e-15, s, s + 1e-15], path.waypoint_s, bound).max()
+        return np.tile([-around, around], (2, 1))
+
+    assert sampled_use(timed, acceleration=acceleration) <= 1 + 1e-6
+
+
+@pytest.mark.parametrize("shortest", [1e-2, 1e-3, 1e-4])
+def test_torques_along_pieces_of_unlike_lengths(shortest: float) -> None:
+    rng = np.random.default_rng(3)
+    widths = np.array([1.0, shortest, 2.0, 10 * shortest, 1.0])
+    points, slopes = rng.normal(size=(6, 2)), rng.normal(size=(6, 2))
+    knots = np.append(0.0, np.cumsum(widths))
+    path = sb.Path(CubicHermiteSpline(knots, points, slopes))
+    inertia, load = np.array([[3.0, 1.0], [1.0, 0.5]]), np.array([[8.0], [2.0]])
+
+    def dynamics(q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+        q, qd, qdd = (np.reshape(part, (2, -1)) for part in (q, qd, qdd))
+        torque = inertia @ qdd + np.sin(q[::-1]) * qd**2 + load * np.cos(q)
+        return torque[:, 0] if torque.shape[1] == 1 else torque
+
+    limit = np.array([12.0, 4.0])
+    timed = sb.time_scale(path, torque=limit, inverse_dynamics=dynamics, tolerance=0.02)
+    t = np.linspace(0, timed.duration, 4001)
+    used = np.abs(dynamics(timed.position(t), timed.velocity(t), timed.acceleration(t)))
+    assert 0.99 < (used / limit[:, None]).max() <= 1 + 1e-6
+
+
+@pytest.mark.parametrize("smaller", [1e-2, 1e-4, 1e-6])
+def test_jerk_beside_bounds_of_which_one_is_far_smaller(smaller: float) -> None:
+    path = sb.Path.through([[0.0, 1.0], [0.0, 0.3]])
+    acceleration = [(-smaller, 10.0), (-2.0, 3.0)]
+    timed = sb.time_scale(path, 5.0, acceleration, jerk=20.0, tolerance=0.1)
+    use = sampled_use(timed, acceleration=lambda s: np.array(acceleration))
+    assert 0.99 < use <= 1 + 1e-9

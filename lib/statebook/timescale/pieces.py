@@ -128,10 +128,12 @@ def _without_rounding(
     slopes = (powers * moves / width[:, None]).max(axis=0)
     largest = slopes.max(axis=0)
     size = np.abs(c[-1]).max(axis=0)
-    # Of a whole piece of the curve: in a short part of it every movement is as small.
+    none, moved = _ROUNDING * (size + largest * width.sum()), moves[:-1].sum(axis=0)
+    still = moved <= none
+    # Where some joint moves: of the whole piece of the curve; in a short part all moves are small.
     first = np.flatnonzero(np.diff(source, prepend=-1))
-    moved = np.add.reduceat(moves[:-1].sum(axis=0), first)
-    still = (moved <= _ROUNDING * (size + largest * width.sum()))[source]
+    whole = np.add.reduceat(moved, first)[source] <= none
+    still &= whole | still.all(axis=1, keepdims=True)
     c = c.copy()
     c[:-1, still] = 0.0
     while len(c) > 2 and np.all(
