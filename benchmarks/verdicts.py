@@ -10,7 +10,7 @@
 randomly similar, and as fractions; `margins` a margin from 1e-14 to 1e-2 beside ill-conditioned
 eigenvectors; `bodies` chains of masses and rings of generators with rigid-body modes; `cost`
 compares with numpy.linalg.eig; `files` judges the matrix A of MATLAB files, such as those of the
-SLICOT and COMPleib collections, which are not kept here.
+SLICOT and COMPleib collections, which are not kept here. --seed draws other matrices.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ def outcome(report: sb.StabilityReport, verdict: str) -> str:
     return "right" if report.verdict == verdict else "WRONG"
 
 
-def constructed(count: int) -> None:
-    rng = np.random.default_rng(0)
+def constructed(count: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
     floats: Counter[str] = Counter()
     exact: Counter[str] = Counter()
     for _ in range(count):
@@ -126,6 +126,16 @@ def cost(figure: str | None) -> None:
     kinds: dict[str, Callable[[int], np.ndarray]] = {
         "random": lambda n: np.random.default_rng(n).normal(size=(n, n)) / n**0.5 - 1.2 * np.eye(n),
         "chain of masses": lambda n: next(A for k, A, _ in body_matrices(n) if "wall and" in k),
+        **{
+            name: (lambda n, make=make: rotated(make(n)))
+            for name, make in {
+                "Grcar": lambda n: toeplitz(n, 1, -3, -1, -1, -1),
+                "Grcar, nearer": lambda n: toeplitz(n, 1, -1.5, -1, -1, -1),
+                "convection": lambda n: toeplitz(n, 1.5, -2, 0.5),
+                "chain (s + 1)^n": lambda n: toeplitz(n, 0, -1, 1),
+                "ones above -1": lambda n: toeplitz(n, 0, -1, *np.ones(n - 1)),
+            }.items()
+        },
     }
     rows = []
     for kind, make in kinds.items():
@@ -147,6 +157,16 @@ def cost(figure: str | None) -> None:
         ax.set(xlabel="number of states n", ylabel="time [s]")
         ax.legend()
         fig.savefig(figure)
+
+
+def toeplitz(n: int, below: float, diagonal: float, *above: float) -> np.ndarray:
+    first = np.concatenate([[diagonal], above, np.zeros(n)])[:n]
+    return scipy.linalg.toeplitz(np.concatenate([[diagonal, below], np.zeros(n)])[:n], first)
+
+
+def rotated(A: np.ndarray) -> np.ndarray:
+    Q = np.linalg.qr(np.random.default_rng(0).normal(size=A.shape))[0]
+    return Q @ A @ Q.T
 
 
 def timed(function: Callable[[np.ndarray], Any], A: np.ndarray, repeats: int) -> float:
@@ -184,10 +204,11 @@ if __name__ == "__main__":
     parser.add_argument("what", choices=["constructed", "margins", "bodies", "cost", "files"])
     parser.add_argument("paths", nargs="*")
     parser.add_argument("--count", type=int, default=10_000)
+    parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--figure")
     args = parser.parse_args()
     if args.what == "constructed":
-        constructed(args.count)
+        constructed(args.count, args.seed)
     elif args.what == "cost":
         cost(args.figure)
     elif args.what == "files":

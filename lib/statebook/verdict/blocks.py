@@ -101,10 +101,10 @@ def decompose(A: np.ndarray, precision: float = EPS) -> list[Block]:
     return [_block(A, np.flatnonzero(first == head), precision) for head in order]
 
 
-def weak_components(A: np.ndarray) -> list[np.ndarray]:
-    """States that share no coupling at all, in either direction, fall into different sets."""
+def weak_components(A: np.ndarray, blocks: list[Block]) -> list[list[Block]]:
+    """Blocks that share no coupling at all, in either direction, fall into different sets."""
     first = np.argmax(_reachability((A != 0) | (A.T != 0)), axis=1)
-    return [np.flatnonzero(first == head) for head in np.unique(first)]
+    return [[b for b in blocks if first[b.index[0]] == head] for head in np.unique(first)]
 
 
 def _reachability(edges: np.ndarray) -> np.ndarray:

@@ -172,7 +172,7 @@ def _reach(T: np.ndarray, size: float) -> float:
         return size
     diagonal = T.diagonal()
     share = 1 / (np.arange(p) + 1)
-    terms = (p * size) ** share * np.linalg.norm(np.triu(T, 1)) ** (1 - share)
+    terms = (p * size) ** share * scipy.linalg.norm(np.triu(T, 1)) ** (1 - share)
     return float(np.abs(diagonal - diagonal.mean()).max() + terms.max())
 
 
@@ -216,7 +216,9 @@ def _judged(number: int, block: Block, group: Group, discrete: bool) -> Cluster:
 
 def _is_single(N: np.ndarray, radius: float) -> bool:
     """Whether N is nilpotent to within radius: null vector by null vector, by staircase."""
-    largest = np.abs(N).max() + TINY
+    largest = np.abs(N).max()
+    if largest <= radius / len(N):
+        return True
     N, radius = N / largest, radius / largest
     size = len(N) ** 0.5 * radius
     # With N - E nilpotent trace(N^2) is trace(E (2 N - E)), and norm_F(E) at most this size.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,7 +78,10 @@ def judge(
         verdict = ASYMPTOTICALLY_STABLE
         if check_distance and (doubt or len(blocks) > 1):
             # Beyond what the clusters prove, the distance to instability decides.
-            doubt = any(_too_close(A, part, discrete, precision) for part in _parts(A, blocks))
+            doubt = any(
+                all(is_near_boundary(*one) for one in _in_best_units(A, part, discrete, precision))
+                for part in weak_components(A, blocks)
+            )
             tolerance = max(tolerance, size) if doubt else tolerance
     if not doubt and size != 0:
         tolerance = min(tolerance, abs(size))  # the sign is certain, however loose the bound
@@ -139,16 +141,10 @@ def _locate(
     return values, np.where(on_boundary, 0.0, margin(values, discrete)), certain
 
 
-def _parts(A: np.ndarray, blocks: list[Block]) -> Iterator[list[Block]]:
-    """The blocks of each set of states that shares no coupling with the others."""
-    for index in weak_components(A):
-        yield [block for block in blocks if block.index[0] in index]
-
-
 def _in_best_units(
-    A: np.ndarray, blocks: list[Block], discrete: bool
-) -> list[tuple[np.ndarray, float]]:
-    """Blocks together in two choices of units, the first in Schur form, and the 2-norm in each."""
+    A: np.ndarray, blocks: list[Block], discrete: bool, precision: float
+) -> list[tuple[np.ndarray, bool, float]]:
+    """Blocks together in two choices of units, the first in Schur form, and rounding in each."""
     T, Q, _ = assemble(A, blocks)
     candidates = [T]
     if len(blocks) > 1:
@@ -157,15 +153,8 @@ def _in_best_units(
         balanced = scipy.linalg.matrix_balance(A[np.ix_(index, index)])[0]
         candidates = [np.triu(Q.conj().T @ B @ Q), balanced]
     floor = 1.0 if discrete else 0.0
-    return [(B, max(spectral_norm(B), floor)) for B in candidates]
-
-
-def _too_close(A: np.ndarray, blocks: list[Block], discrete: bool, precision: float) -> bool:
-    """Whether stable blocks are within rounding of instability, in the best of units."""
-    return all(
-        is_near_boundary(B, discrete, rounding(norm, len(B), precision))
-        for B, norm in _in_best_units(A, blocks, discrete)
-    )
+    radii = (rounding(max(spectral_norm(B), floor), len(B), precision) for B in candidates)
+    return [(B, discrete, radius) for B, radius in zip(candidates, radii, strict=True)]
 
 
 def _whole_rounding(
@@ -173,10 +162,9 @@ def _whole_rounding(
 ) -> np.ndarray:
     """Rounding, for each eigenvalue, of all that its block is coupled to, in the best of units."""
     size = np.zeros(len(A))
-    for part in _parts(A, blocks):
-        norm = min(norm for _, norm in _in_best_units(A, part, discrete))
+    for part in weak_components(A, blocks):
         index = np.concatenate([block.index for block in part])
-        size[index] = rounding(norm, len(index), precision)
+        size[index] = min(radius for *_, radius in _in_best_units(A, part, discrete, precision))
     return size[np.concatenate([block.index for block in blocks])]
 
 

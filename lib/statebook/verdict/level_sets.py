@@ -40,17 +40,14 @@ def boundary_distance(A: np.ndarray, discrete: bool, enough: float = 0.0) -> flo
     Each level is below the one before, the more so the farther it is from the minimum; the
     search ends early at a value of at most `enough`.
     """
-    scale = float(np.linalg.norm(A, 2))
-    if discrete:
-        scale = max(scale, 1.0)
+    scale = 0.0 if discrete else float(np.linalg.norm(A, 2))
     # Powers of two: the units of time (or of the map) cancel without rounding.
-    unit = 1.0 if discrete else float(np.exp2(np.round(np.log2(scale)))) if scale > 0 else 1.0
+    unit = float(np.exp2(np.round(np.log2(scale)))) if scale > 0 else 1.0
     A = A / unit
     eigenvalues = np.linalg.eigvals(A)
     nearest = eigenvalues[np.argsort(margin(eigenvalues, discrete))[:_STARTS]]
-    starts = dict.fromkeys(project(nearest, discrete).tolist())
     best = np.inf
-    for start in starts:
+    for start in dict.fromkeys(project(nearest, discrete).tolist()):
         best = min(best, _lowest(A, np.array([start])))
         if unit * best <= enough:
             break
