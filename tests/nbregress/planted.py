@@ -521,6 +521,9 @@ texts(
 texts(
     NOISE, "a process", "ipykernel_1{}/12.py:3", "ipykernel_2/3456.py:3", lambda r: r.randint(0, 9)
 )
+LOOP = "{:.2f} ns ± 0.2 ns per loop (mean ± std. dev. of 7 runs, 10 loops each)"
+SLOW = "The slowest run took {:.2f} times longer than the fastest. This could mean ...\n"
+texts(NOISE, "a timed loop", LOOP, SLOW + LOOP, near(4, 9), near(1, 9))
 texts(NOISE, "a wall time", "Wall time: {:.2f} s", "Wall time: 12 µs", near(1, 9))
 texts(
     NOISE,

@@ -24,7 +24,8 @@ _PATTERNS = {
     ),
     "timing": (
         rf"(?:Wall time|CPU times): .*"
-        rf"|(?<![\d.])[\d.]{{1,12}} [nµμum]?s ± [\d.]{{1,12}} [nµμum]?s per loop.*"
+        rf"|(?:^The slowest run took .*\n)?"
+        rf"(?<![\d.])[\d.]{{1,12}} [nµμum]?s ± [\d.]{{1,12}} [nµμum]?s per loop.*"
         rf"|(?i:\b(?:elapsed|execution|computation|computing|running|run|cpu|wall[- ]?clock) ?time)"
         rf"(?: is| was| taken| elapsed)?\s*[=:]?\s*(?:{_CLOCK}|{_DURATION})"
         rf"|(?i:\belapsed)\s*[=:]\s*(?:{_CLOCK}|{_DURATION})"
