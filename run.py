@@ -10,6 +10,7 @@
     python3 run.py new NAME                 write analyses/NAME.ipynb, to analyse a model of yours
     python3 run.py slides [NN ...]          make the slides of chapters
     python3 run.py students DIR             write the hand-out, without solutions
+    python3 run.py lite                     build a site whose notebooks run in the browser
 
 Standard library only, in syntax that older Pythons parse, so that they can be turned away.
 """
@@ -245,14 +246,17 @@ def run(arguments, cwd=ROOT, output=None):
             pass  # pytest and JupyterLab got it too, and end in their own way
 
 
-def needs_toppra(notebook):
-    """Tell whether a code cell of the notebook calls time_scale or imports toppra."""
+TOPPRA = r"time_scale\(|import toppra\b"
+
+
+def code_has(notebook, pattern):
+    """Tell whether a code cell of the notebook holds the pattern, at the beginning of a word."""
     try:
         cells = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
     except (ValueError, KeyError):
         return False  # the job that reads it next has the better message
     code = "\n".join("".join(c["source"]) for c in cells if c["cell_type"] == "code")
-    return re.search(r"\btime_scale\(|\bimport toppra\b", code) is not None
+    return re.search(r"\b(?:%s)" % pattern, code) is not None
 
 
 def notebooks(pattern):
@@ -260,7 +264,7 @@ def notebooks(pattern):
     names = sorted(n.relative_to(ROOT).as_posix() for n in (ROOT / "workbook").glob(pattern))
     if (site_packages() / "toppra").is_dir():
         return names, []
-    left_out = [name for name in names if needs_toppra(ROOT / name)]
+    left_out = [name for name in names if code_has(ROOT / name, TOPPRA)]
     if left_out:
         print("not executed, as toppra is not installed: " + ", ".join(left_out), flush=True)
     return [name for name in names if name not in left_out], left_out
@@ -309,7 +313,8 @@ def browser_tools():
         "raise SystemExit(0 if f() and not i.find_spec('playwright') else 1)"
     )
     if subprocess.call([str(venv_python()), "-c", code], cwd=str(ROOT / "book")) == 0:
-        pip(["--editable", str(ROOT) + "[browser]"], "installing the driver of a browser")
+        with contextlib.suppress(OSError):  # nothing can be installed in a read-only checkout
+            pip(["--editable", str(ROOT) + "[browser]"], "installing the driver of a browser")
 
 
 def test(arguments):
@@ -358,6 +363,24 @@ def slides(arguments):
     return run(["book/slides.py", *arguments])
 
 
+def lite(arguments):
+    """Build a site in _build/lite whose notebooks run in the browser, but toppra's."""
+    with one_at_a_time("lite"):
+        code, log = pip(["--editable", str(ROOT) + "[lite]"], "installing JupyterLite")
+        if code:
+            fail(explain(log))
+        names = sorted((ROOT / "workbook").glob("**/[0-9]*.ipynb"))
+        skip = [n.relative_to(ROOT).as_posix() for n in names if code_has(n, r"sweep\(|" + TOPPRA)]
+        print("left out, as a browser has no toppra and no processes: " + ", ".join(skip))
+        command = ["book/lite.py", *arguments, "--skip", *skip]
+        code, log = watch(command, BUILD / "lite.log", lambda log: "building")
+    if code:
+        fail("no new site was built, the old one stays\n" + "\n".join(log.splitlines()[-9:]))
+    print("serve it, and open http://127.0.0.1:8000/lab/?path=00_start_here.ipynb")
+    print("    python3 -m http.server --bind 127.0.0.1 --directory _build/lite")
+    return 0
+
+
 def new(arguments):
     """Write an analysis notebook for a model of the reader's own."""
     code = run(["-m", "statebook", "new", *arguments])
@@ -379,7 +402,7 @@ def students(arguments):
 
 def main(arguments):
     """Do the job that the first argument names and return the exit code."""
-    jobs = {f.__name__: f for f in (book, test, lab, refresh, new, slides, students)}
+    jobs = {f.__name__: f for f in (book, test, lab, refresh, new, slides, students, lite)}
     if not arguments:
         print(__doc__)
         return 2

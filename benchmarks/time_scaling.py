@@ -16,6 +16,7 @@ import argparse
 import json
 import logging
 import math
+import multiprocessing
 import time
 import tracemalloc
 import warnings
@@ -25,12 +26,20 @@ from typing import Any
 
 import numpy as np
 from scipy.interpolate import PPoly
-from time_scaling_cases import curve_of, knots_of, other_units, random_cases, strange_path
-from time_scaling_verify import SAMPLES, dense_violation, verify
+from time_scaling_cases import (
+    curve_of,
+    knots_of,
+    other_units,
+    part_of,
+    random_cases,
+    strange_path,
+)
+from time_scaling_verify import SAMPLES, dense_violation, sampled_violation, verify
 
 import statebook as sb
 
 REPEATS = 3
+PATIENCE = 200  # seconds for one strange path
 JOINTS = (1, 3, 7, 15, 30)
 RAW_GRIDS = (None, 100, 1000)
 HEADER = (
@@ -212,41 +221,83 @@ def summarize(rows: np.ndarray, count: int) -> None:
         )
 
 
+def try_strange(seed: int) -> tuple[str, float, float, float, bool]:
+    """Time a strange path: its name, a violation, the library's own audit, seconds, warned."""
+    name, path, given = strange_path(seed)
+    begin = time.process_time()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        ends, factor = given.pop("ends", None), given.pop("duration", None)
+        timed = sb.time_scale(path, **given)
+        if ends is not None and timed.duration > 0:  # a part of it, at the speeds it has there
+            s, speed, _ = timed.progress(ends * timed.duration)
+            given |= {"start_speed": speed[0], "end_speed": speed[1]}
+            path = part_of(path, *s)
+            timed = sb.time_scale(path, **given)
+        if factor is not None:
+            given["duration"] = factor * timed.duration
+            timed = sb.time_scale(path, **given)
+            assert math.isclose(timed.duration, given["duration"], rel_tol=1e-9), "duration"
+    seconds = time.process_time() - begin
+    missed = any("tolerance" in str(one.message) for one in caught)
+    assert timed.gap <= 1e-3 or missed or factor, f"gap {timed.gap} without a word"
+    assert np.all(np.diff(timed.times) > 0), "times"
+    audit = max(use.use for use in timed.audit()) - 1
+    return name, sampled_violation(timed, given), audit, seconds, missed
+
+
 def fuzz(count: int, seed: int) -> None:
-    """Time strange paths; count crashes, violations, limits missed and false refusals."""
-    failures, warned, worst = 0, 0, -math.inf
-    for number in range(count):
-        name, path, limits = strange_path(seed + number)
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
-            try:
-                timed = sb.time_scale(path, *limits)
-                worst = max(worst, timed.audit().worst.use - 1)
-                assert np.all(np.diff(timed.times) > 0)
-                assert np.isfinite(timed.position(timed.duration)).all()
-            except Exception as error:  # whatever it is, it is a failure: all are feasible
-                failures += 1
-                print(f"{seed + number} {name}: {type(error).__name__}: {error}", flush=True)
-        warned += bool(caught)
-    print(f"{count} strange paths: {failures} failures, largest use {worst:.1e}, {warned} warnings")
+    """Time strange paths; print crashes, violations, false refusals, and what takes long."""
+    processes = multiprocessing.get_context("spawn")
+    pool = processes.Pool(1)
+    failures, warned, worst, audited, slowest = 0, 0, -math.inf, -math.inf, (0.0, "")
+    for number in range(seed, seed + count):
+        try:
+            work = pool.apply_async(try_strange, (number,))
+            name, violation, audit, seconds, missed = work.get(PATIENCE)
+            if violation > 1e-9 or audit > 1e-9:
+                raise ValueError(f"{name} exceeds a limit by {violation:.2g} ({audit:.2g})")
+        except Exception as error:  # whatever it is, it is a failure: all are feasible
+            failures += 1
+            what = f"{strange_path(number)[0]}: {type(error).__name__}: {error}"
+            print(f"{number} {what}", flush=True)
+            if isinstance(error, multiprocessing.TimeoutError):
+                pool.terminate()
+                pool = processes.Pool(1)
+            continue
+        worst, audited = max(worst, violation), max(audited, audit)
+        slowest = max(slowest, (seconds, f"{number} {name}"))
+        warned += missed
+    pool.terminate()
+    print(
+        f"{count} strange paths from {seed}: {failures} failures, largest violation {worst:.1e}, "
+        f"by the library's audit {audited:.1e}; {warned} warnings of a tolerance; slowest "
+        f"{slowest[0]:.1f} s, {slowest[1]}",
+        flush=True,
+    )
 
 
 def growth() -> None:
-    """Print time, memory and gap over numbers of waypoints and of joints."""
-    for joints, points in [(6, 10), (6, 100), (6, 1000), (6, 10_000), *((n, 20) for n in JOINTS)]:
-        path = sb.Path.through(np.random.default_rng(0).normal(size=(joints, points)))
-        tracemalloc.start()
+    """Print time, memory and gap over numbers of waypoints and of joints, beside raw TOPP-RA."""
+    sizes = [(6, 10), (6, 100), (6, 1000), *((n, 20) for n in JOINTS), (30, 1000), (6, 10_000)]
+    for joints, points in sizes:
+        waypoints = np.random.default_rng(0).normal(size=(joints, points))
+        path = sb.Path.through(waypoints)
+        begin = time.process_time()
         timed = sb.time_scale(path, 1.0, 1.0)
-        _, peak = tracemalloc.get_traced_memory()
-        tracemalloc.stop()
-        start = time.process_time()
-        sb.time_scale(path, 1.0, 1.0)
-        elapsed = time.process_time() - start
+        elapsed = time.process_time() - begin
+        bound = np.tile([-1.0, 1.0], (joints, 1))
+        case = {"path": "given", "vlim": bound, "alim": bound, "sd_start": 0.0, "sd_end": 0.0}
+        raw, found, _ = run_raw(case, path.curve, 1000)
         print(
-            f"{joints} joints, {points} waypoints: {elapsed:.2f} s, {peak / 1e6:.0f} MB at most, "
-            f"gap {timed.gap:.1e}",
+            f"{joints} joints, {points} waypoints: {elapsed:.2f} s, gap {timed.gap:.1e}; raw with "
+            f"1000 intervals {raw / 1e3:.3f} s ({'solved' if found > 0 else 'not solved'})",
             flush=True,
         )
+        tracemalloc.start()
+        sb.time_scale(path, 1.0, 1.0)
+        print(f"    at most {tracemalloc.get_traced_memory()[1] / 1e6:.0f} MB", flush=True)
+        tracemalloc.stop()
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -62,26 +63,39 @@ def random_cases(count: int, seed: int) -> list[dict[str, Any]]:
     return cases
 
 
-def strange_path(seed: int) -> tuple[str, sb.Path, tuple[np.ndarray, np.ndarray]]:
-    """Draw a path that is hard to time, and limits of all sizes; a motion exists always."""
+KINDS = ("polyline", "repeats", "chord", "hermite", "degree", "straight", "blend")
+
+
+def strange_path(seed: int) -> tuple[str, sb.Path, dict[str, Any]]:
+    """Draw a path that is hard to time, and arguments of `time_scale`; a motion exists always.
+
+    A tenth each has jerk limits, torque limits, limits per waypoint, speeds at its ends, pauses, a
+    given duration (as a multiple of the shortest one), and limits on norms.
+    """
     rng = np.random.default_rng(seed)
-    dof, count = int(rng.integers(1, 8)), int(rng.integers(2, 40))
-    points = rng.normal(size=(dof, count)) * 10 ** rng.uniform(-3, 3)
-    kind = ("polyline", "repeats", "chord", "hermite", "degree", "straight")[seed % 6]
+    kind, extra = KINDS[seed % 7], EXTRAS.get(seed % 10, "")
+    calm = extra == "jerk"  # small, of less unlike sizes: beyond them its programs fail on rounding
+    most = (4, 5) if calm else (8, 40)  # of joints and waypoints
+    dof, count = int(rng.integers(1, most[0])), int(rng.integers(2, most[1]))
+    points = rng.normal(size=(dof, count)) * 10 ** (rng.uniform(-3, 3) / (3 if calm else 1))
     if kind in ("repeats", "chord", "straight"):
         where = rng.integers(0, count, int(rng.integers(1, 4)))
         noise = 10 ** rng.uniform(-16, -6) * rng.normal(size=(dof, len(where)))
         points = np.insert(points, where, points[:, where] + noise * np.abs(points).max(), axis=1)
     if kind == "straight":
         points = np.outer(rng.normal(size=dof), rng.normal(size=points.shape[1]).cumsum())
+    wrap = bool(rng.random() < 0.1)
     if kind in ("polyline", "straight"):
-        path = sb.Path.through(points, kind="linear")
+        path = sb.Path.through(points, kind="linear", wrap=wrap)
+    elif kind == "blend":
+        blend = np.ptp(points) * 10 ** rng.uniform(-6, 0)
+        path = sb.Path.through(points, kind="linear", wrap=wrap, blend=blend)
     elif kind == "repeats":
-        path = sb.Path.through(points, kind=("cubic", "linear")[seed % 2])
+        path = sb.Path.through(points, kind=("cubic", "linear")[seed % 2], wrap=wrap)
     elif kind == "chord":
         steps = np.linalg.norm(np.diff(points), axis=0)
         path = sb.Path.through(
-            points, s=np.concatenate([[0], np.cumsum(steps + 1e-12 * steps.sum())])
+            points, s=np.concatenate([[0], np.cumsum(steps + 1e-12 * steps.sum())]), wrap=False
         )
     elif kind == "hermite":
         s = np.cumsum(10 ** rng.uniform(-4, 1, count))
@@ -90,10 +104,62 @@ def strange_path(seed: int) -> tuple[str, sb.Path, tuple[np.ndarray, np.ndarray]
     else:
         degree = int(rng.integers(1, 10))
         number = max(degree + 1, min(count, 15))
-        points = rng.normal(size=(dof, number)) * 10 ** rng.uniform(-3, 3)
+        points = rng.normal(size=(dof, number)) * 10 ** (rng.uniform(-3, 3) / (3 if calm else 1))
         path = sb.Path(make_interp_spline(np.linspace(0, 1, number), points.T, k=degree))
-    size = 10 ** rng.uniform(-4, 4, (2, dof, 2)) * np.array([-1.0, 1.0])
-    return kind, path, (size[0], size[1])
+    shape = (2, dof, 2, len(path.waypoint_s)) if extra == "varying" else (2, dof, 2)
+    sign = np.array([-1.0, 1.0]).reshape((2, 1) if extra == "varying" else 2)
+    size = 10 ** (rng.uniform(-4, 4, shape) / (3 if calm else 1)) * sign
+    given: dict[str, Any] = {"velocity": size[0], "acceleration": size[1]}
+    if extra == "jerk":
+        given["jerk"] = 10 ** rng.uniform(-1.5, 1.5, (dof, 2)) * [-1.0, 1.0]
+    elif extra == "torque":
+        dynamics = strange_dynamics(rng, dof, np.abs(points).max())
+        knots = path.curve.x
+        s = (knots[:-1] + np.multiply.outer(np.linspace(0, 1, 200), np.diff(knots))).ravel()
+        q = path(np.minimum(s, path.s_end))
+        load = np.abs(dynamics(q, 0 * q, 0 * q))
+        margin = 10 ** rng.uniform(-1, 3, dof)
+        given |= {"torque": load.max(axis=1) * (1 + margin), "inverse_dynamics": dynamics}
+        if rng.random() < 0.5:
+            del given["acceleration"]
+    elif extra == "dwell":
+        pauses = rng.integers(0, len(path.waypoint_s), 3)
+        given["dwell"] = {int(i): 10 ** rng.uniform(-3, 3) for i in pauses}
+    elif extra == "duration":
+        given["duration"] = 10 ** rng.uniform(0, 2)
+    elif extra == "norm":
+        given |= {"acceleration_norm": 10 ** rng.uniform(-4, 4), "speed": 10 ** rng.uniform(-4, 4)}
+    elif extra == "ends":
+        given["ends"] = np.sort(rng.random(2))
+    return f"{kind} {extra}", path, given
+
+
+EXTRAS = dict(enumerate(("jerk", "torque", "varying", "dwell", "duration", "norm", "ends"), 3))
+
+
+def strange_dynamics(rng: np.random.Generator, dof: int, size: float) -> Any:
+    """Draw an inverse dynamics with inertia, centrifugal terms and loads of any sizes."""
+    root, rates = rng.normal(size=(dof, dof)), rng.normal(size=(dof, dof, dof))
+    inertia = root @ root.T + 0.1 * np.eye(dof)
+    scales = 10 ** rng.uniform(-3, 3, (3, 1, 1)) * 10 ** rng.uniform(-1, 1, (3, dof, 1))
+
+    def dynamics(q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+        angle, moved = q / size, inertia @ qdd
+        moved = moved * (1 + 0.5 * np.cos(angle[::-1]))
+        swung = np.einsum("ijk,j...,k...->i...", rates, qd, qd) * np.sin(angle)
+        a, b, c = scales if q.ndim == 2 else scales[..., 0]
+        return a * moved + b * swung / size + c * np.cos(angle)
+
+    return dynamics
+
+
+def part_of(path: sb.Path, begin: float, end: float) -> sb.Path:
+    """Return a path from one s to another, exactly where it was."""
+    knots = path.curve.x
+    inside = knots[(knots > begin) & (knots < end)]
+    cuts = np.concatenate([[begin], inside, [end]])
+    taylor = [path(cuts[:-1], m).T / math.factorial(m) for m in range(len(path.curve.c))]
+    return sb.Path(PPoly(np.stack(taylor[::-1]), cuts))
 
 
 def other_units(case: dict[str, Any]) -> Iterator[tuple[dict[str, Any], float]]:

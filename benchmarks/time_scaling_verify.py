@@ -125,3 +125,63 @@ def verify(timed: sb.TimedPath, curve: PPoly, case: dict[str, Any]) -> float:
         dense_violation(motion, timed.duration, v, a),
         exact_violation(timed, curve, v, a),
     )
+
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+_RATES = ("velocity", "acceleration", "jerk")
+
+
+def sampled_violation(timed: sb.TimedPath, given: dict[str, Any]) -> float:
+    """Return the largest violation of the arguments of `time_scale` at very many instants.
+
+    In every interval of the motion the integral of each derivative is compared with the change of
+    what it is the derivative of, so that a wrong one is no excuse.
+    """
+    pauses = given.get("dwell", {})
+    rests = [timed.arrival_times[i] + pause for i, pause in pauses.items()]
+    t = np.unique([*timed.times, *np.linspace(0, timed.duration, 2000), *rests])
+    steps = np.diff(t)
+    within = (t[:-1] + np.multiply.outer((1 + _NODES) / 2, steps)).ravel()
+    lower = timed.position(t)
+    size = np.abs(lower).max()
+    inside: dict[str, np.ndarray] = {}
+    for name in _RATES[: 2 + ("jerk" in given)]:
+        inside[name] = getattr(timed, name)(within)
+        every = inside[name].reshape(timed.path.dof, len(_NODES), -1)
+        moved = np.einsum("k,jkn->jn", _WEIGHTS / 2, every) * steps
+        largest = np.abs(every).max(axis=(1, 2))[:, None]
+        off = np.abs(np.diff(lower) - moved)
+        rounding = 1e-9 * size + 1e-14 * timed.duration * largest
+        assert np.all(off <= rounding), f"{name} is no derivative: {(off / rounding).max():.2g}"
+        lower, size = getattr(timed, name)(t), largest
+    s, _, _ = timed.progress(within)
+    position = timed.position(within)
+    reach = 1e-9 * np.abs(position).max()
+    assert np.abs(position - timed.path(s)).max() <= reach, "it leaves the path"
+    assert np.all(np.diff(timed.progress(t)[0]) >= -1e-15 * np.abs(s).max()), "it goes back"
+    knots = timed.path.waypoint_s
+    changes = {"velocity": inside["acceleration"], "acceleration": timed.jerk(within), "jerk": 0.0}
+    worst = -1.0
+    for name in _RATES:
+        bound = np.asarray(given.get(name, np.inf))
+        if bound.ndim == 3:  # between points that are one to rounding they change by any factor
+            near = s + 1e-15 * np.abs(knots).max() * np.arange(-1, 2)[:, None]
+            bound = np.array([[np.interp(near, knots, side) for side in row] for row in bound])
+            low, high = bound[:, 0].min(axis=1), bound[:, 1].max(axis=1)
+        elif bound.ndim == 2:
+            low, high = bound[:, :1], bound[:, 1:]
+        else:
+            continue
+        # Time itself is rounded: at the next derivative times that the values change.
+        blur = 2.3e-16 * timed.duration * np.abs(changes[name])
+        values = inside[name]
+        use = np.maximum((values + blur) / low, (values - blur) / high)
+        worst = max(worst, float(use.max()) - 1)
+    for name, of in (("speed", "velocity"), ("acceleration_norm", "acceleration")):
+        if name in given:
+            norm = np.linalg.norm(inside[of], axis=0)
+            worst = max(worst, float(norm.max() / given[name]) - 1)
+    if "torque" in given:
+        torques = given["inverse_dynamics"](position, inside["velocity"], inside["acceleration"])
+        worst = max(worst, float((np.abs(torques).max(axis=1) / given["torque"]).max()) - 1)
+    return worst

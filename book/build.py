@@ -13,10 +13,12 @@ import hashlib
 import json
 import os
 import platform
+import re
 import shutil
 import subprocess
 import sys
-from importlib.metadata import distributions
+from contextlib import suppress
+from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 from typing import Any
 
@@ -38,9 +40,25 @@ def put(source: Path, target: Path) -> bool:
     return True
 
 
+def used_packages() -> dict[str, str]:
+    """Return the versions of what requirements.txt names and needs, and of nothing else here."""
+    lines = (ROOT / "requirements.txt").read_text(encoding="utf-8").splitlines()
+    found: dict[str, str] = {}
+    todo = [line for line in lines if line[:1].isalpha()]
+    while todo:
+        requirement = todo.pop()
+        name = re.split(r"[^\w.-]", requirement)[0].lower().replace("_", "-")
+        if name in found or re.search(r"\bextra *==", requirement):
+            continue
+        with suppress(PackageNotFoundError):  # another system's, or toppra
+            found[name] = distribution(name).version
+            todo += distribution(name).requires or []
+    return found
+
+
 def content_keys(notebooks: list[Path]) -> dict[str, str]:
     """Return, by name, a hash of a notebook, the library, the packages and Python."""
-    versions = sorted(f"{d.metadata['Name']} {d.version}" for d in distributions())
+    versions = sorted(f"{name} {number}" for name, number in used_packages().items())
     common = hashlib.sha256("\n".join([platform.python_version(), *versions]).encode())
     for path in sorted(p for p in (ROOT / "lib").rglob("*") if p.suffix in CODE):
         common.update(path.read_bytes())

@@ -109,7 +109,8 @@ def add_users(app: Any, what: str, name: str, obj: Any, options: Any, lines: lis
     """Add to an entry of the reference the chapters that use it."""
     places = users().get(name.removeprefix("statebook."), [])
     if places and what in ("class", "function"):
-        links = ", ".join(f":doc:`{place.split('/')[-1][:2]} </{place}>`" for place in places)
+        names = [f"{'case ' * ('/cases/' in p)}{p.split('/')[-1][:2]}" for p in places]
+        links = ", ".join(f":doc:`{n} </{p}>`" for n, p in zip(names, places, strict=True))
         lines += ["", f"Used in chapters {links}.", ""]
 
 

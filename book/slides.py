@@ -77,6 +77,16 @@ def main(numbers: list[str]) -> int:
     if not chosen:
         print(f"slides takes the numbers of chapters, such as 07; got {' '.join(numbers)}")
         return 1
+    try:
+        write(chosen)
+    except OSError as error:
+        print(f"slides: {error.filename or DECKS} was not written: {error.strerror or error}")
+        return 1
+    return 0
+
+
+def write(chosen: list[Path]) -> None:
+    """Write the decks of notebooks."""
     DECKS.mkdir(parents=True, exist_ok=True)
     assets()
     config = Config()
@@ -94,7 +104,6 @@ def main(numbers: list[str]) -> int:
         beside.write_text(page, encoding="utf-8")
         beside.replace(target)
         print("open " + target.as_uri())
-    return 0
 
 
 if __name__ == "__main__":

@@ -171,8 +171,13 @@ def test_search_shows_a_line_of_context(browser, site):
 
 
 def test_code_is_folded_on_a_phone_and_one_switch_shows_it(browser, site):
-    page, _, _ = open_page(browser, addresses(site)["chapters/07_pendulum"], "phone")
+    page, _, _ = open_page(browser, addresses(site)["chapters/exercises/07_pendulum"], "phone")
+    assert page.locator(".cell_input").first.is_visible()  # there it is part of the task
+    page.goto(addresses(site)["chapters/07_pendulum"])
     assert not page.locator(".cell_input").first.is_visible()
+    folded = page.locator("details.hide").first
+    folded.locator("summary").click()
+    assert folded.locator(".cell_input").is_visible()
     page.click(".sb-code-switch")
     assert page.locator(".cell_input").first.is_visible()
     page.close()

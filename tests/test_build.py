@@ -35,6 +35,7 @@ def build(tmp_path, monkeypatch):
         monkeypatch.setattr(module, name, place)
     (tmp_path / "_build").mkdir()
     (tmp_path / "lib").mkdir()
+    (tmp_path / "requirements.txt").write_text("# ours\nnbformat>=5\n")
     (tmp_path / "lib" / "a.py").write_text("x = 1\n")
     for name in ("00_a", "01_b"):
         save(tmp_path / "workbook" / f"{name}.ipynb", "1 + 1")
@@ -72,13 +73,22 @@ def test_only_what_changed_is_executed(build):
     assert go(build, everything=True) == (["00_a", "01_b"], [])
 
 
-@pytest.mark.parametrize("what", ["library", "versions", "copy"])
+def test_a_package_that_no_notebook_uses_executes_nothing(build):
+    """As the driver of a browser, which `run.py test` installs."""
+    used = build.used_packages()
+    assert {"nbformat", "traitlets"} <= set(used)
+    assert not {"pytest", "sphinx", "statebook"} & set(used)
+
+
+@pytest.mark.parametrize("what", ["library", "versions", "packages", "copy"])
 def test_a_change_of_what_outputs_depend_on_executes_again(build, monkeypatch, what):
     go(build)
     if what == "library":
         (build.ROOT / "lib" / "a.py").write_text("x = 2\n")
     elif what == "versions":
         monkeypatch.setattr(build.platform, "python_version", lambda: "3.99.0")
+    elif what == "packages":
+        monkeypatch.setattr(build, "used_packages", lambda: {"nbformat": "99"})
     else:
         for path in build.EXECUTED.rglob("*.ipynb"):
             path.unlink()

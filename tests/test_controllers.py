@@ -90,6 +90,16 @@ def test_pid_of_a_measured_output_removes_a_disturbance(target):
     assert end[3] * 0.8 == pytest.approx(0.3 * target, rel=1e-5)
 
 
+def test_pid_of_a_plain_function_has_one_input_unless_a_guess_says_more():
+    # Every input alike: what a function reads of u does not tell how many there are.
+    pid = sb.PID(
+        lambda x, u: [x[1], np.sum(u) - x[1]], [2.0], 3.0, 1.0, 0.0, outputs=[[1.0, 0.0]],
+        x_guess=[2.0, 0.0],
+    )  # fmt: skip
+    assert pid.u0.shape == (1,) and pid.loop.m == 1
+    assert rest_of(pid, disturbance=[0.5])[0] == pytest.approx(2.0, abs=1e-6)
+
+
 def test_pid_is_the_transfer_function_with_a_filtered_derivative():
     kp, ki, kd, Tf = 2.0, 0.8, 1.0, 0.07
     pid = sb.PID(LAG, [0.0], kp=kp, ki=ki, kd=kd, filter_time=Tf)
@@ -301,6 +311,28 @@ def test_modes_that_no_input_moves_are_named():
     assert not sb.LQR(decaying, [0, 0, 0], Q=[1, 0, 1]).K[0, 1]
 
 
+@pytest.mark.parametrize(
+    ("block", "dt", "mode"),
+    [
+        (np.eye(3, k=1), 0, "0"),
+        (np.eye(3, k=1) + np.eye(3), 0.1, "1"),
+        (np.eye(3, k=1) - np.eye(3), 0.1, "-1"),
+        (np.diag([1.5, 0.2, -0.3]), 0.1, "1.5"),
+        (np.diag([-1.25, 0.2, -0.3]), 0.1, "-1.25"),
+        (np.array([[0.6, 0.8, 0], [-0.8, 0.6, 0], [0, 0, 0.1]]), 0.1, r"0.6 [+-] 0.8j"),
+    ],
+)
+def test_modes_that_no_input_moves_are_named_in_any_coordinates(block, dt, mode):
+    # Rounding takes the eigenvalues of a Jordan block of three 1e-5 apart, but not their name.
+    rng = np.random.default_rng(1)
+    turn = np.linalg.qr(rng.normal(size=(5, 5)))[0]
+    A, B = np.zeros((5, 5)), np.zeros((5, 1))
+    A[:3, :3], A[3:, 3:], B[3:] = block, [[-0.5, 0.3], [0.0, 0.4]], 1.0
+    stuck = control.ss(turn @ A @ turn.T, turn @ B, np.eye(5), 0, dt)
+    with pytest.raises(ValueError, match=rf"no input moves its mode {mode}$"):
+        sb.LQR(stuck, np.zeros(5))
+
+
 @pytest.mark.parametrize(("pole", "effect"), [(1e8, 1.0), (3.0, 1e-9), (0.2, 1e12)])
 def test_units_of_the_input_do_not_decide_what_it_moves(pole, effect):
     gain = sb.LQR(lambda x, u: [pole * x[0] + effect * u[0]], [0.0], Q=0.0).K
@@ -355,6 +387,9 @@ def test_a_reference_may_move_and_needs_its_own_input():
         np.testing.assert_allclose(sample.dynamics(x, u), 0, atol=1e-12)
         np.testing.assert_allclose(follower(x, t), u)
         assert follower.cost_to_go(x, t) == pytest.approx(0, abs=1e-20)
+    ramp = sb.LQR(sb.Particle(), [0, 0], tracked=["p"], reference=lambda t: 3 + t)
+    np.testing.assert_allclose(ramp.error([5.0, 1.0]), [2.0, 1.0])  # at t = 0
+    assert ramp.cost_to_go([5.0, 1.0]) == ramp.cost_to_go([5.0, 1.0], 0.0)
 
 
 def test_integrals_of_lqr_do_not_wind_up():

@@ -10,9 +10,11 @@ import re
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import statebook as sb
-from statebook.plotting import explore, film
+from statebook.plotting import Player, explore, film
 
 WORDS = {"caption": "Figure 1. A sine.", "alt": "a sine wave & its <zeros>"}
 
@@ -54,6 +56,16 @@ def test_the_page_holds_every_frame():
     assert len(set(player.frames)) == 3
     assert data["axes"] == [{"name": "frequency", "values": ["1", "2", "3"]}]
     assert data["start"] == [1]
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.lists(st.lists(st.sampled_from("abcdefg"), min_size=1, max_size=9), min_size=1))
+def test_any_frames_come_out_as_they_went_in(lines):
+    frames = tuple(map("\n".join, lines))
+    axes = (("x", tuple(map(str, range(len(frames))))),)
+    data = unpacked(Player(axes, frames, (0,), "A caption.", "What is seen.").to_html())
+    assert frames_of(data) == [*frames]
+    assert len(data["parts"]) == len({line for frame in lines for line in frame})
 
 
 def test_a_frame_shows_the_data_of_its_value():

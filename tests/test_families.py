@@ -74,6 +74,8 @@ def epidemic(x):
         (lambda x: x * (1 - x[0] ** 2 - x[1] ** 2), [0.6, 0.8], None, 1),
         (lambda x: [-x[0] + 2 * x[1] ** 2, x[0] - 2 * x[1] ** 2], [2.0, 1.0], None, 1),
         (epidemic, [1.0, 0.0], None, 1),
+        # A dead zone, short against the unit of a state that is 0.
+        (lambda x: [-max(x[0] - 0.05, 0) - min(x[0] + 0.05, 0), -x[1]], [0.0, 0.0], None, 1),
     ],
 )
 def test_stable_along_a_family(f, x0, u0, dimension):

@@ -252,6 +252,14 @@ def test_a_loop_without_end_is_ended(monkeypatch):
     assert time.monotonic() - start < 20
 
 
+def test_where_there_are_no_processes_a_function_is_called_here(monkeypatch):
+    monkeypatch.setattr(sandbox.sys, "platform", "emscripten")
+    monkeypatch.delattr(sandbox.subprocess, "Popen")
+    assert sb.grade("07.3", right, "Ada")
+    assert "raised KeyError" in sb.grade("07.3", raises, "Ada").message
+    assert "must return shape ()" in sb.grade("07.3", pair, "Ada").message
+
+
 def test_a_process_that_ends_itself_is_explained():
     def leave(theta, omega, u):
         import os

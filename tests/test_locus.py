@@ -392,3 +392,24 @@ def test_crossovers_do_not_depend_on_the_units_of_the_states():
     assert len(found) > 0
     assert same == pytest.approx(found, rel=1e-9)
     np.testing.assert_allclose(np.abs(2 * plants[0](1j * np.array(found))), 1, rtol=1e-9)
+
+
+def test_eigenvalues_at_rest_cost_few_evaluations():
+    asked = []
+
+    def still(k):
+        asked.append(k)
+        return np.diag([-1.0, -2.0])
+
+    assert sb.eigenvalue_locus(still, {"k": [0.0, 1.0]}).crossings == ()
+    assert len(asked) < 50
+
+
+def test_a_feedthrough_bounds_the_gain():
+    """A loop round -0.5 has no solution at the gain 2."""
+    plant = control.ss([[-1.0]], [[1.0]], [[0.0]], [[-0.5]])
+    low, high = sb.stability(plant).margins().gain
+    assert low == 0 and high < 2 and high == pytest.approx(2, rel=1e-8)
+    # 1 + k (0.5 - 1 / (s + 1)) = 0 has its root at 0 for k = 2.
+    plant = control.ss([[-1.0]], [[1.0]], [[-1.0]], [[0.5]])
+    assert sb.stability(plant).margins().gain == pytest.approx((0, 2))

@@ -56,6 +56,7 @@ def run(tmp_path, monkeypatch):
         module.calls.append(packages)
         return module.codes.get(doing, 0), "ERROR: no compiler"
 
+    module.real_browser_tools = module.browser_tools
     monkeypatch.setattr(module, "browser_tools", lambda: None)
     monkeypatch.setattr(module, "make_venv", make_venv)
     monkeypatch.setattr(module, "pip", pip)
@@ -343,6 +344,58 @@ def test_lab_opens_a_copy_that_is_made_once(run, monkeypatch):
 def test_an_unknown_job_is_told_the_jobs(run, capsys):
     assert run.main(["bogus"]) == 2
     assert "no job 'bogus'; there are book, test, lab" in capsys.readouterr().out
+
+
+def test_lite_leaves_out_what_no_browser_runs(run, monkeypatch, capsys):
+    notebook(run.ROOT / "workbook" / "00_a.ipynb", "1 + 1")
+    notebook(run.ROOT / "workbook" / "16_timed.ipynb", "sb.time_scale(path)")
+    notebook(run.ROOT / "workbook" / "cases" / "09_many.ipynb", "sb.sweep(f, grid)")
+    commands = []
+    monkeypatch.setattr(run, "watch", lambda command, *_: (commands.append(command), (0, ""))[1])
+    assert run.main(["lite", "--pyodide", "p.tar.bz2"]) == 0
+    left_out = ["workbook/16_timed.ipynb", "workbook/cases/09_many.ipynb"]
+    assert commands == [["book/lite.py", "--pyodide", "p.tar.bz2", "--skip", *left_out]]
+    assert ", ".join(left_out) in capsys.readouterr().out
+    assert run.calls[-1] == ["--editable", f"{run.ROOT}[lite]"]
+    monkeypatch.setattr(run, "watch", lambda *_: (1, "no wheel"))
+    with pytest.raises(SystemExit, match="the old one stays\nno wheel"):
+        run.main(["lite"])
+
+
+def test_a_read_only_checkout_is_tested_without_a_new_driver(run, monkeypatch):
+    def read_only(packages, doing):
+        raise OSError(30, "Read-only file system", "pip.log")
+
+    monkeypatch.setattr(run, "pip", read_only)
+    monkeypatch.setattr(run.subprocess, "call", lambda *_, **__: 0)
+    run.real_browser_tools()
+
+
+@pytest.mark.parametrize(
+    ("who", "arguments"),
+    [
+        ("students", ["statebook.grading.students", "analyses/mine", "--workbook", "{workbook}"]),
+        ("statebook", ["statebook", "new", "car"]),
+    ],
+)
+def test_a_folder_that_cannot_be_written_is_one_sentence(tmp_path, who, arguments):
+    (tmp_path / "analyses").touch()  # nobody can write below a file, not even root
+    given = [text.format(workbook=ROOT / "workbook") for text in arguments]
+    command = [sys.executable, "-m", *given]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 1
+    assert re.fullmatch(who + r": \[Errno \d+\] .*analyses.*\n", done.stderr), done.stderr
+    assert list(tmp_path.iterdir()) == [tmp_path / "analyses"]
+
+
+def test_slides_that_cannot_be_written_are_one_sentence(tmp_path, monkeypatch, capsys):
+    spec = importlib.util.spec_from_file_location("slides_under_test", ROOT / "book" / "slides.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(module, "DECKS", tmp_path / "file" / "slides")
+    assert module.main(["07"]) == 1
+    assert re.fullmatch(r"slides: .*file.* was not written: .*\n", capsys.readouterr().out)
 
 
 def test_new_writes_and_says_how_to_go_on(run, monkeypatch, capsys):

@@ -97,6 +97,24 @@ def test_switches_are_exact_to_rounding():
     assert run.states[:, -1] == pytest.approx([v * (1 / 3 + 1 / 6), v], rel=1e-13)
 
 
+@pytest.mark.parametrize("method", ["RK45", "BDF", "rk4"])
+def test_switches_where_nothing_changes_cost_nothing(method):
+    calls = []
+
+    def policy(x, t):
+        calls.append(t)
+        return [np.sin(t)]
+
+    counts = []
+    for switches in ([], [-1.0, 0.0, 1e-15, 2.0 - 1e-15, 2.0, 3.0]):
+        calls.clear()
+        simulate(
+            double_integrator, [0.0, 0.0], policy, times=[0, 2], switches=switches, method=method
+        )
+        counts.append(len(calls))
+    assert counts[0] == counts[1]
+
+
 @pytest.mark.parametrize("method", SOLVERS)
 def test_pulses_as_long_as_a_short_interval_between_long_ones(method):
     times = np.concatenate([[0.0, 4.9], np.arange(5.0, 5.45, 0.1), [10.0]])

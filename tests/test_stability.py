@@ -1,9 +1,13 @@
 """Verdicts, modes, distances and maps against matrices whose answers are known."""
 
+from decimal import Decimal
+from fractions import Fraction
+
 import control
 import numpy as np
 import pytest
 import scipy
+import sympy
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -636,3 +640,67 @@ def test_eigenvalue_map_notices_axes_in_a_wrong_order(sizes):
             sb.eigenvalue_map(lambda *p: right(*p).swapaxes(0, 1), *grids)
     known = right(*np.meshgrid(*grids, indexing="ij"))  # a table is taken at its word
     assert sb.eigenvalue_map(lambda *p: known, *grids).shape == (*sizes, 2)
+
+
+class Frame:
+    """What a data frame offers."""
+
+    def __init__(self, rows):
+        self.rows = rows
+
+    def to_numpy(self):
+        return np.array(self.rows)
+
+
+@pytest.mark.parametrize(
+    "as_given",
+    [
+        scipy.sparse.csr_array,
+        scipy.sparse.coo_matrix,
+        Frame,
+        sympy.Matrix,
+        lambda rows: np.array(rows, dtype=np.float32),
+        lambda rows: [[Fraction(x) for x in row] for row in rows],
+        lambda rows: np.array([[Decimal(x) for x in row] for row in rows]),
+        lambda rows: np.ma.masked_array(np.array(rows), mask=False),
+    ],
+)
+def test_matrices_of_any_library_are_matrices(as_given):
+    A, B, K = [[0.0, 1.0], [-2.0, -3.0]], [[0.0], [1.0]], [[1.0, 2.0]]
+    assert sb.stability(as_given(A)).eigenvalues == pytest.approx(np.array([-1, -2]))
+    assert sb.distance_to_instability(as_given(A)) == pytest.approx(sb.distance_to_instability(A))
+    assert sb.critical_step(as_given(A), "euler") == pytest.approx(1.0)
+    expected = sb.critical_sample_time(A, B, K)
+    assert sb.critical_sample_time(*map(as_given, (A, B, K))) == pytest.approx(expected)
+
+
+def test_numbers_are_taken_as_they_were_written():
+    """As floats -0.1 and its thrice make no 0.3; constants that vanish are 0."""
+    A = [[Decimal("0.1"), 1], [0, Decimal("0.1") + Decimal("0.2") - Decimal("0.3")]]
+    report = sb.stability(A, dt=True)
+    assert report.verdict == "asymptotically stable" and report.tolerance == 0
+    root = sympy.sqrt(2)
+    report = sb.stability(sympy.Matrix([[(1 + root) ** 2 - 3 - 2 * root]]))
+    assert "0 on the imaginary axis (exactly)" in report.reason
+    # Without inputs a plant that is stable stays so, however seldom it is sampled.
+    assert sb.critical_sample_time([[-1.0]], np.zeros((1, 0)), np.zeros((0, 1))) == np.inf
+
+
+def test_what_is_missing_or_no_number_is_refused():
+    A = np.ma.masked_array([[-1.0, 0.0], [5.0, -2.0]], mask=[[0, 0], [1, 0]])
+    for call in (sb.stability, sb.distance_to_instability):
+        with pytest.raises(ValueError, match="no masked entries"):
+            call(A)
+    for entry in ("-1", None, sympy.Symbol("k"), object()):
+        with pytest.raises(TypeError, match="array of numbers"):
+            sb.critical_sample_time([[-1.0]], [[1.0]], [[entry]])
+    with pytest.raises(ValueError, match=r"beyond 1\.8e308"):
+        sb.critical_sample_time([[-1.0]], [[1.0]], [[10**400]])
+    with pytest.raises(ValueError, match="finite"):
+        sb.stability([[Decimal("nan")]])
+
+
+def test_a_mode_that_rests_is_not_damped():
+    still, decaying = sb.stability([[0.0, 0.0], [0.0, -2.0]]).modes
+    assert (still.damping, still.frequency, still.time_constant) == (0, 0, np.inf)
+    assert (decaying.damping, decaying.frequency, decaying.time_constant) == (1, 2, 0.5)

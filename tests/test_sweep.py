@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import statebook as sb
+from statebook import sweeping
 
 
 def polar(radius, angle):
@@ -195,6 +196,17 @@ def test_a_dead_worker_is_named_with_its_point():
     with ProcessPoolExecutor(1) as pool:
         with pytest.raises(RuntimeError, match=r"died at \{'x': 0\}, \{'x': 1\}, .*\.\.\.: killed"):
             sb.sweep(dying, {"x": range(40)}, executor=pool, progress=False, chunk=40)
+
+
+def test_a_worker_shows_its_point_while_it_is_at_it(monkeypatch):
+    before = [0, 2, 4711, 8, 4712, 0, 0, 0]  # to stop, how many, and of each its id and point
+    board, seen = before.copy(), []
+    monkeypatch.setattr(sweeping, "_board", board)
+    monkeypatch.setattr(sweeping, "_seat", 4)
+    points = [{"x": 5}, {"x": 6}]
+    sweeping._evaluate(lambda x: seen.append(board.copy()) or x, points, 5, (0, False))
+    assert seen == [[0, 2, 4711, 8, 4712, 1 + x, 0, 0] for x in (5, 6)]
+    assert board == before
 
 
 def test_processes_do_not_repeat_random_numbers():

@@ -11,6 +11,7 @@ import textwrap
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from operator import add
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from hypothesis import strategies as st
 
 import statebook as sb
 from clusterable import GRID, POLAR, deadly, drawn, gusty, inverse, polar
+from statebook import checkpoint
 from test_sweep import Inline
 
 QUIET = {"progress": False}
@@ -316,6 +318,28 @@ def test_what_cannot_work_is_refused(tmp_path, monkeypatch, options, error, mess
     monkeypatch.chdir(tmp_path)
     with pytest.raises(error, match=message):
         sb.sweep(**{"function": abs_of, "grid": {"x": [1]}, "executor": Inline(), **options})
+
+
+@pytest.mark.parametrize(("cost", "apart"), [(0.0, 1.0), (0.02, 1.0), (0.5, 10.0)])
+def test_a_cache_is_written_every_second_or_a_twentieth_of_the_time(
+    tmp_path, monkeypatch, cost, apart
+):
+    now, written, whole = [0.0], [], os.replace
+
+    def replacing(*names):
+        whole(*names)
+        now[0] += cost
+        written.append(now[0])
+
+    monkeypatch.setattr(checkpoint.os, "replace", replacing)
+    monkeypatch.setattr(checkpoint, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    done = checkpoint.Checkpoint(1)
+    done.keep_in(tmp_path / "c", {})
+    while now[0] < 60:
+        now[0] += 1 / 8
+        done.add(len(done.ready), np.array([now[0]]))
+    assert len(written) > 5
+    assert np.diff(written) == pytest.approx([apart + cost] * (len(written) - 1), abs=1 / 8)
 
 
 def test_a_full_disk_costs_the_cache_not_the_results(tmp_path, monkeypatch):

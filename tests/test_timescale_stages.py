@@ -160,18 +160,18 @@ def straight(intervals: int, speed: np.ndarray) -> tuple[list[Limit], Profile]:
 def test_the_fastest_profile_is_not_refined_and_a_slow_one_is() -> None:
     s = np.linspace(0, 1, 11)
     limits, fastest = straight(10, 2 * np.minimum(s, 1 - s))
-    grid, curvature = refine(limits, fastest)
+    grid, curvature = refine(limits, fastest, fastest.steps)
     assert grid.h == pytest.approx(np.full(10, 0.1))
     assert curvature == pytest.approx(np.zeros(10))
     limits, slow = straight(10, 0.02 * np.minimum(s, 1 - s))
-    grid, _ = refine(limits, slow)
+    grid, _ = refine(limits, slow, slow.steps)
     # Of each interval's time 99 % is lost; splitting in k divides the loss by k^2, by 4 in all.
     ends = np.sqrt(s) / np.sqrt(2)
     share = np.diff(np.where(s <= 0.5, ends, 1 - ends[::-1]))
     parts = np.ceil(np.sqrt(4 * 10 * share)).astype(int)
     assert sorted(set(parts)) == [2, 3]
     assert grid.h == pytest.approx(np.repeat(0.1 / parts, parts))
-    grid, _ = refine(limits, fastest, stuck=True)
+    grid, _ = refine(limits, fastest, fastest.steps, stuck=True)
     assert grid.h == pytest.approx(np.full(20, 0.05))
 
 
@@ -179,7 +179,7 @@ def test_intervals_in_which_a_bottleneck_ends_are_split() -> None:
     # Along the edge of the controllable set, below it from s = 0.5 on.
     s = np.linspace(0, 1, 11)
     limits, profile = straight(10, np.where(s <= 0.5, 2 * (1 - s), 1.5 * (1 - s)))
-    grid, _ = refine(limits, profile)
+    grid, _ = refine(limits, profile, profile.steps)
     parts = np.histogram(grid.s + grid.h / 2, np.linspace(0, 1, 11))[0]
     assert parts.tolist() == [1, 1, 1, 1, 4, 4, 4, 3, 3, 4]
 
@@ -198,7 +198,7 @@ def test_a_bend_is_no_larger_than_the_mean_of_the_ends(
 ) -> None:
     _, profile = straight(len(speed) - 1, np.array(speed, dtype=float))
     monkeypatch.setattr(solving, "_PARTS", 1)
-    _, curvature = refine(kinematic_limits(None, 100.0, None, LINE), profile)
+    _, curvature = refine(kinematic_limits(None, 100.0, None, LINE), profile, profile.steps)
     assert curvature == pytest.approx(expected, abs=1e-12)
 
 
@@ -209,7 +209,7 @@ def test_refined_profiles_bend_within_bounds(seed: int) -> None:
     limits = [*some_limits("velocity", path), *some_limits("acceleration", path)]
     grid, _, _ = lay_grid(path, 0.0, 0.0, 48)
     profile = solve(limits, grid, np.zeros(len(grid.h)), ceiling(limits, grid).x)
-    finer, curvature = refine(limits, profile)
+    finer, curvature = refine(limits, profile, profile.steps)
     assert np.abs(curvature).max() <= 1 and np.ptp(curvature) > 0.05
     assert np.sum(finer.h) == pytest.approx(1.0, rel=1e-12)
     assert finer.s[1:] == pytest.approx((finer.s + finer.h)[:-1], abs=1e-12)

@@ -2,6 +2,7 @@
 
 import copy
 import dataclasses
+import functools
 import pickle
 
 import control
@@ -123,6 +124,17 @@ def test_a_time_beyond_the_end_by_rounding_is_the_end():
     trajectory = sb.Trajectory([0, 0.3], [[0, 1]])
     assert trajectory(0.1 + 0.2).tolist() == [1.0]
     assert 0.1 + 0.2 > 0.3
+
+
+@pytest.mark.parametrize("size", [1e-9, 1e9])
+@pytest.mark.parametrize("ends", [(-4.0, 1.0), (1.0, 4.0)])
+def test_rounding_is_in_units_of_the_times(size, ends):
+    start, end = np.array(ends) * size
+    trajectory = sb.Trajectory([start, end], [[3.0, 5.0]])
+    assert trajectory([start - 1e-13 * size, end + 1e-13 * size]).tolist() == [[3.0, 5.0]]
+    for t in (start - 1e-10 * size, end + 1e-10 * size):
+        with pytest.raises(ValueError, match="t must be within"):
+            trajectory(t)
 
 
 @pytest.mark.parametrize(("kind", "order"), [("linear", 2), ("cubic", 4)])
@@ -432,6 +444,19 @@ def test_between_samples_the_solvers_own_output(method, batch):
     assert np.array_equal(run(4.0), run.states[..., 1])
     assert run(2.5).shape == run.states.shape[:-1]
     assert np.array_equal(run.at(t), run.at(t, "dense"))
+
+
+@pytest.mark.parametrize("method", ["RK45", "DOP853", "Radau"])
+def test_the_event_that_ends_a_run_is_a_sample_like_others(method):
+    for height in np.linspace(-1.4, -0.4, 6):
+        above = functools.partial(lambda height, x: x[0] - height, height)
+        above.terminal = True
+        run = sb.simulate(sb.Pendulum(), [0.0, 0.0], duration=9.0, events=above, method=method)
+        assert len(run.events) == 1
+        assert np.array_equal(run(run.times[-1]), run.states[:, -1])
+        between = run.times[-2:].mean()
+        both = run([between, run.times[-1]])
+        assert np.array_equal(both, np.stack([run(between), run.states[:, -1]], axis=1))
 
 
 def test_dense_output_survives_resampling_and_pickling_but_not_replacing():

@@ -416,6 +416,35 @@ def test_systems_without_inputs_and_plain_functions():
     np.testing.assert_allclose(halved.states[:, :, -1], starts / 8)
 
 
+@pytest.mark.parametrize("pushed", [False, True])
+@pytest.mark.parametrize(
+    ("period", "duration", "ticks"),
+    [(0.1, 0.3, 3), (0.1, 0.7, 7), (0.1, 1.0, 10), (0.1, 1.1, 11), (1 / 3, 5.0, 15), (0.5, 1.1, 3)],
+)
+def test_a_duration_of_whole_periods_is_not_rounded_up(period, duration, ticks, pushed):
+    noise = {"disturbance": sb.HeldNoise(1.0, period, seed=1)} if pushed else {}
+    run = sb.monte_carlo(
+        lambda x: -x, [1.0], number=2, period=period, duration=duration, method="rk4", **noise
+    )
+    assert len(run.times) == 1 + ticks
+    assert run.times[-1] == pytest.approx(ticks * period, rel=1e-15)
+
+
+def test_a_disturbed_batch_is_evaluated_at_once():
+    shapes = []
+
+    def f(x, u):
+        shapes.append(np.shape(x))
+        return np.stack([x[1], u[0] - x[0]])
+
+    gusty = sb.with_disturbance(sb.as_system(f, [0.0, 0.0], [0.0]), G=[[0.0], [2.0]])
+    shapes.clear()
+    x, inputs = np.arange(10.0).reshape(2, 5), np.arange(10.0).reshape(2, 5) - 3
+    rates = gusty.dynamics(x, inputs)
+    np.testing.assert_array_equal(rates, [x[1], inputs[0] - x[0] + 2 * inputs[1]])
+    assert shapes == [(2, 5)]
+
+
 @pytest.mark.parametrize(
     "policy",
     [

@@ -3,6 +3,7 @@
 from fractions import Fraction
 
 import control
+import mpmath
 import numpy as np
 import pytest
 import scipy
@@ -10,9 +11,11 @@ import sympy
 
 import statebook as sb
 from constructed import construct
+from statebook.verdict import level_sets
 from statebook.verdict.blocks import decompose
-from statebook.verdict.clusters import clusters, separated
+from statebook.verdict.clusters import _is_single, clusters, separated
 from statebook.verdict.exact import as_rational
+from statebook.verdict.level_sets import _stays_off, boundary_distance, is_near_boundary
 
 STABLE, MARGINAL, UNSTABLE = "asymptotically stable", "marginally stable", "unstable"
 UNDECIDABLE = "undecidable in double precision"
@@ -139,6 +142,104 @@ def test_a_jordan_block_among_others_is_one_cluster(size):
     assert report.verdict == STABLE and UNDECIDABLE not in report.reason
     expected = np.array([-1.0] * size + [-2.0, -2.5, -3.0])
     assert report.eigenvalues == pytest.approx(expected, abs=1e-10)
+
+
+@pytest.mark.parametrize("sizes", [(60,), (20, 7), (12, 12, 1)])
+def test_long_chains_are_one_eigenvalue_however_far_rounding_throws_it(sizes):
+    """Rounding throws the eigenvalue of a chain of 60 by eps^(1/60) = 0.55."""
+    D = scipy.linalg.block_diag(*(jordan(-1.0, size) for size in sizes))
+    Q = orthogonal(len(D), 11)
+    report = sb.stability(Q @ D @ Q.T)
+    assert np.ptp(np.linalg.eigvals(Q @ D @ Q.T).real) > 0.05
+    assert report.verdict == STABLE and UNDECIDABLE not in report.reason
+    assert report.tolerance < 1e-11
+    assert report.spectral_margin == pytest.approx(1, abs=1e-11)
+    assert np.ptp(report.eigenvalues) == 0
+
+
+def test_what_is_within_a_radius_of_a_nilpotent_matrix():
+    """The nearest one to [[d, 1], [0, -d]] is about d^2 away."""
+    near = np.array([[1e-3, 1], [0, -1e-3]], dtype=complex)
+    assert _is_single(near, 1e-5) and not _is_single(near, 1e-7)
+    Q = orthogonal(9, 3)
+    chains = scipy.linalg.block_diag(jordan(0, 5), jordan(0, 3), [[0]])
+    for size in (1e-200, 1.0, 1e200):
+        N = scipy.linalg.schur(Q @ chains @ Q.T, output="complex")[0] * size
+        assert _is_single(N, 1e-13 * size)
+        assert not _is_single(N + np.diag(np.arange(9)) * 1e-6 * size, 1e-13 * size)
+    # Cube roots of 1, of which sum and sum of squares vanish.
+    roots = scipy.linalg.schur(np.roll(np.eye(3), 1, axis=0), output="complex")[0]
+    assert not _is_single(roots, 0.1)
+    assert _is_single(np.zeros((3, 3), dtype=complex), 1e-300)
+
+
+@pytest.mark.parametrize("discrete", [False, True])
+def test_a_proof_of_stability_contradicts_no_distance(discrete):
+    rng = np.random.default_rng(31)
+    proved = 0
+    for _ in range(60):
+        n = int(rng.integers(2, 6))
+        T = np.triu(rng.normal(size=(n, n)) + 1j * rng.normal(size=(n, n)), 1)
+        rate = rng.uniform(0.1, 2, n)
+        np.fill_diagonal(T, (np.exp(-rate) if discrete else -rate) * np.exp(1j * rate / 9))
+        exact = boundary_distance(T, discrete)
+        for share in (1e-6, 0.2, 0.9, 1.1, 5.0):
+            proof = _stays_off(T, discrete, share * exact)
+            proved += proof
+            assert not (proof and share > 1) and (proof or share > 1e-6)
+            assert is_near_boundary(T, discrete, share * exact) == (share > 1)
+    assert proved > 65
+
+
+@pytest.mark.parametrize(("pole", "discrete", "distance"), [(-2.0, False, 2.0), (0.75, True, 0.25)])
+def test_the_proof_is_sharp_for_one_state(pole, discrete, distance):
+    T = np.array([[pole]], dtype=complex)
+    assert _stays_off(T, discrete, 0.999 * distance)
+    assert not _stays_off(T, discrete, 1.001 * distance)
+    # Nothing is proved where rounding is larger than the margin.
+    assert not _stays_off(np.array([[-2e-17 + 1j]]), False, 0.0)
+    assert is_near_boundary(np.array([[-1.0, 9], [0, 0.5]]), True, 1e-3)
+
+
+def toeplitz(n, below, diagonal, above):
+    return diagonal * np.eye(n) + below * np.eye(n, k=-1) + sum(
+        value * np.eye(n, k=k) for k, value in enumerate(above, 1)
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("A", "margin"),
+    [
+        (toeplitz(60, 1, -3, [-1, -1, -1]), None),
+        (toeplitz(60, 1.6e3, -2.6e3, [1e3]), None),
+        (toeplitz(60, 0, -1, [0.9]), 1.0),
+        (toeplitz(60, 0, -1, [0.9]).T - 0.5 * np.eye(60), 1.5),
+    ],
+    ids=["Grcar", "convection and diffusion", "chain", "chain, mirrored"],
+)
+def test_strongly_nonnormal_matrices_are_proved_stable_without_a_search(A, margin, monkeypatch):
+    """The symmetric part is negative: so is every real part, and the distance is as large."""
+    monkeypatch.setattr(level_sets, "_level_set", None)
+    lowest = -np.linalg.eigvalsh((A + A.T) / 2)[-1]
+    assert lowest > 1e-3
+    Q = orthogonal(len(A), 2)
+    for B in (A, Q @ A @ Q.T):
+        report = sb.stability(B)
+        assert report.verdict == STABLE and UNDECIDABLE not in report.reason
+        assert report.spectral_margin >= lowest
+        if margin:
+            assert report.spectral_margin == pytest.approx(margin, abs=1e-9)
+
+
+def test_what_no_double_precision_can_decide_is_said_to_be_so_without_a_search(monkeypatch):
+    """sigma_min is 2^-n for ones above -1, and less for the companion matrix of (s + 1)^n."""
+    monkeypatch.setattr(level_sets, "_level_set", None)
+    n = 120
+    ones = np.triu(np.ones((n, n)), 1) - np.eye(n)
+    Q = orthogonal(n, 5)
+    for A in (Q @ ones @ Q.T, scipy.linalg.companion(np.poly(-np.ones(n)))):
+        report = sb.stability(A)
+        assert UNDECIDABLE in report.reason and report.tolerance >= abs(report.spectral_margin)
 
 
 @pytest.mark.parametrize("dt", [None, True])
@@ -324,3 +425,22 @@ def test_reports_for_a_page():
     assert r"a\<b\|c\_d" in sb.stability(names).to_markdown()
     empty = sb.stability(np.zeros((0, 0)))
     assert "nothing that could grow" in empty.to_markdown() and empty._repr_html_()
+
+
+def test_what_is_blurred_inside_leaves_no_doubt_about_what_is_on_the_boundary():
+    """A chain at -0.15 is thrown by 0.05, and a bound of the throw reaches across: a proof not."""
+    Q = orthogonal(10, 3)
+    A = scipy.linalg.block_diag(Q @ jordan(-0.15, 10) @ Q.T, [[0.0]])
+    report = sb.stability(A)
+    assert report.verdict == MARGINAL and UNDECIDABLE not in report.reason
+
+
+def test_long_arithmetic_finds_roots_only_where_double_precision_leaves_a_doubt(monkeypatch):
+    tiny = sb.stability([[F(-1, 10**400)]])
+    assert tiny.verdict == STABLE and tiny.spectral_margin == 5e-324
+    monkeypatch.setattr(mpmath, "polyroots", None)
+    companion = [[0, 1, 0], [0, 0, 1], [-6, -11, -6]]
+    assert sb.stability(companion).spectral_margin == pytest.approx(1, rel=1e-12)
+    halves = [[F(x, 12) for x in row] for row in [[6, 1, 0], [0, 4, 1], [0, 0, -3]]]
+    assert sb.stability(halves, dt=True).spectral_margin == pytest.approx(0.5, rel=1e-12)
+    assert sb.stability([[F(1, 2), 5], [0, F(-1, 2)]]).spectral_margin == pytest.approx(-0.5)

@@ -1,5 +1,5 @@
-// One switch for all code of a page, off at first where the screen is narrow; and all folds open
-// on paper, but for code.
+// One switch for all code of a page, off at first where the screen is narrow, but not in exercises,
+// where code is part of the task; and all folds open on paper, but for code.
 "use strict";
 (() => {
   const remembered = () => {
@@ -21,7 +21,8 @@
       button.setAttribute("aria-pressed", String(on));
     };
     const narrow = window.matchMedia("(max-width: 40em)").matches;
-    let on = (remembered() || (narrow ? "off" : "on")) === "on";
+    const task = location.pathname.includes("/exercises/");
+    let on = task || (remembered() || (narrow ? "off" : "on")) === "on";
     show(on);
     button.addEventListener("click", () => {
       on = !on;

@@ -17,7 +17,7 @@ def array(name: str, value: Any, shape: tuple[int | None, ...] | None = None) ->
     name : str
         The argument's name, for the error message.
     value : array_like
-        Numbers; anything else is refused.
+        Numbers, fractions, decimals or SymPy's constants; anything else is refused.
     shape : tuple of int or None, optional
         Required shape; None in it stands for any length, None instead of it for any shape.
 
@@ -31,7 +31,7 @@ def array(name: str, value: Any, shape: tuple[int | None, ...] | None = None) ->
     TypeError
         The value does not consist of numbers.
     ValueError
-        The shape is wrong, or an entry is NaN or infinite.
+        The shape is wrong, or an entry is NaN, infinite or masked.
 
     Examples
     --------
@@ -44,6 +44,17 @@ def array(name: str, value: Any, shape: tuple[int | None, ...] | None = None) ->
         raise TypeError(
             f"{name} must be an array of numbers, got ragged rows: {value!r}"
         ) from error
+    if np.ma.is_masked(value):
+        raise ValueError(f"{name} must have no masked entries; fill them first: .filled(...)")
+    if result.dtype.kind == "O" and not any(isinstance(x, str | bytes) for x in result.flat):
+        try:
+            result = np.array([complex(x) for x in result.flat]).reshape(result.shape)
+        except OverflowError as error:
+            raise ValueError(f"{name} must be finite, got a number beyond 1.8e308") from error
+        except (TypeError, ValueError):
+            pass
+        else:
+            result = result if result.imag.any() else result.real
     if result.dtype.kind not in "biufc":
         raise TypeError(f"{name} must be an array of numbers, got {value!r}")
     if result.dtype not in (np.float64, np.complex128):

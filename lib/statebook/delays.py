@@ -66,9 +66,8 @@ def with_input_delay(sys: Any, delay: float, *, order: int = 5) -> control.State
     if _validate.integer("order", order, 1) > 10:
         raise ValueError(f"order must be at most 10, got {order}")
     sys = state_space(sys)
-    system = as_system(sys)
-    if system.discrete:
-        dt = float(system.dt or 1)
+    if _validate.is_discrete(sys.dt):
+        dt = float(sys.dt or 1)
         order = round(delay / dt)
         if abs(delay - order * dt) > 1e-9 * dt:
             raise ValueError(f"delay must be whole samples of dt = {dt:g}, got {delay:g}")
@@ -76,16 +75,16 @@ def with_input_delay(sys: Any, delay: float, *, order: int = 5) -> control.State
     else:
         wait = control.tf2ss(*control.pade(delay, order)) if delay else control.ss([], [], [], 1.0)
     A, B, C, D = (np.asarray(M) for M in (sys.A, sys.B, sys.C, sys.D))
-    late = [np.kron(np.eye(system.m), np.asarray(M)) for M in (wait.A, wait.B, wait.C, wait.D)]
-    names = [f"{label}, delayed [{i}]" for label in system.inputs for i in range(wait.nstates)]
+    late = [np.kron(np.eye(sys.ninputs), np.asarray(M)) for M in (wait.A, wait.B, wait.C, wait.D)]
+    names = [f"{label}, delayed [{i}]" for label in sys.input_labels for i in range(wait.nstates)]
     matrices = (
         np.block([[A, B @ late[2]], [np.zeros((len(late[0]), len(A))), late[0]]]),
         np.vstack([B @ late[3], late[1]]),
         np.hstack([C, D @ late[2]]),
         D @ late[3],
     )
-    labels: dict[str, Any] = {"states": [*system.states, *names], "inputs": list(system.inputs)}
-    labels |= {"outputs": sys.output_labels, "name": f"{system.name} with input delay"}
+    labels: dict[str, Any] = {"states": [*sys.state_labels, *names], "inputs": sys.input_labels}
+    labels |= {"outputs": sys.output_labels, "name": f"{sys.name} with input delay"}
     return control.ss(*matrices, sys.dt, **labels)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -12,7 +11,7 @@ import scipy
 
 from statebook import _validate
 from statebook.policies import valued
-from statebook.probes import is_time
+from statebook.probes import is_time, positional
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,10 +44,7 @@ class Watch:
 
     def __init__(self, label: str, function: Callable[..., Any], x: np.ndarray, t: float) -> None:
         self.label, self._function = label, function
-        try:
-            names = list(inspect.signature(function).parameters)
-        except (TypeError, ValueError):  # built in C: nothing to read
-            names = []
+        names = (positional(function) or ([], 0, False))[0]
         # SciPy's order is told by the names: f(t, y).
         self._time_first = bool(names) and is_time(names[0])
         self._number = 1 if len(names) == 1 else 2

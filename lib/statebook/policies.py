@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import bisect
-import inspect
 import itertools
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -18,7 +17,7 @@ from statebook import _validate
 from statebook.control_trajectory import ControlTrajectory
 from statebook.dense_output import Steps
 from statebook.errors import outside_domain
-from statebook.probes import arguments_of, is_time, number_of_inputs, takes_batches
+from statebook.probes import arguments_of, is_time, number_of_inputs, positional, takes_batches
 from statebook.systems import System
 from statebook.times import interval_of
 
@@ -60,7 +59,7 @@ class Control:
         plan = self.plan
         marks = switches if plan is None else np.union1d(switches, plan.breakpoints)
         slack = 1e-12 * max(abs(start), abs(end), end - start)
-        inside = marks[(marks > start + slack) & (marks < end - slack)]
+        inside = marks[(marks > start) & (marks < end - slack)]
         inside = inside[np.diff(inside, prepend=start) > slack]
         cuts = np.array([start, *inside.tolist(), end])
         ends = itertools.pairwise(cuts.tolist())
@@ -170,22 +169,13 @@ def as_plan(name: str, u: Any) -> Any:
         return ControlTrajectory.from_ppoly(u)
     if not callable(u) or isinstance(u, ControlTrajectory):
         return u
-    try:
-        signature = inspect.signature(u)
-    except (TypeError, ValueError):  # built in C: nothing to read
+    names, required, variadic = positional(u) or (["x", "t"], 2, False)
+    if required <= 2 and (len(names) > 1 or variadic) and not any(map(is_time, names[:1])):
         return u
-    names = list(signature.parameters)
-    try:
-        signature.bind(None, None)
-        fits = not is_time(names[0])
-    except TypeError:
-        fits = False
-    if not fits:
-        given = ", ".join(names)
-        raise TypeError(
-            f"{name} must take (x, t), got a function of ({given}); write lambda x, t: f({given})"
-        )
-    return u
+    given = ", ".join(names)
+    raise TypeError(
+        f"{name} must take (x, t), got a function of ({given}); write lambda x, t: f({given})"
+    )
 
 
 def example_input(
@@ -250,11 +240,9 @@ def as_control(
     function, t0, shape = u, float(times[0]), (m,)
 
     def policy(x: np.ndarray, t: float) -> np.ndarray:
-        value = function(x.copy(), t)
-        # What `shaped` does with most of them, without a call.
-        if type(value) is np.ndarray and value.dtype is _FLOAT and x.ndim == 1:
-            if value.shape == shape:
-                return value
+        value = np.asarray(function(x.copy(), t))
+        if value.dtype is _FLOAT and value.shape == shape and x.ndim == 1:
+            return value  # as `shaped` does with most of them, without a call
         return shaped("u(x, t)", value, m, x.shape[1:])
 
     def one_by_one(x: np.ndarray, t: float) -> np.ndarray:

@@ -21,6 +21,27 @@ def is_time(name: str) -> bool:
     return re.fullmatch(r"_*(t|time)(_\w*)?", name) is not None
 
 
+def positional(f: Callable[..., Any]) -> tuple[list[str], int, bool] | None:
+    """Return a function's positional arguments, how many it requires, whether it takes more.
+
+    None of what is built in C: there is nothing to read.
+    """
+    code = getattr(f, "__code__", None)
+    if code is not None and not (code.co_flags & 0x0C or code.co_kwonlyargcount):
+        # Much faster than a signature, and most functions are this plain.
+        names = list(code.co_varnames[: code.co_argcount])
+        required = len(names) - len(getattr(f, "__defaults__", None) or ())
+        bound = inspect.ismethod(f)
+        return names[bound:], max(required - bound, 0), False
+    try:
+        parameters = inspect.signature(f).parameters.values()
+    except (TypeError, ValueError):
+        return None
+    kinds = [p for p in parameters if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)]
+    required = sum(p.default is p.empty for p in kinds)
+    return [p.name for p in kinds], required, any(p.kind is p.VAR_POSITIONAL for p in parameters)
+
+
 def arguments_of(f: Callable[..., Any]) -> tuple[int, int]:
     """Return how many of x, u, t the function requires and how many it accepts.
 
@@ -29,23 +50,7 @@ def arguments_of(f: Callable[..., Any]) -> tuple[int, int]:
     TypeError
         It takes the time first, x and the time alone, or something else.
     """
-    code = getattr(f, "__code__", None)
-    if code is not None and not (code.co_flags & 0x0C or code.co_kwonlyargcount):
-        # Much faster than a signature, and most functions are this plain.
-        names = list(code.co_varnames[: code.co_argcount])
-        required = len(names) - len(getattr(f, "__defaults__", None) or ())
-        variadic = False
-        if inspect.ismethod(f):
-            names, required = names[1:], max(required - 1, 0)
-    else:
-        try:
-            parameters = inspect.signature(f).parameters.values()
-        except (TypeError, ValueError):  # built in C: nothing to read
-            return 1, 2
-        kinds = [p for p in parameters if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)]
-        names = [p.name for p in kinds]
-        required = sum(p.default is p.empty for p in kinds)
-        variadic = any(p.kind is p.VAR_POSITIONAL for p in parameters)
+    names, required, variadic = positional(f) or (["x", "u"], 1, False)
     given = ", ".join(names)
     times = [is_time(name) for name in names]
     if len(names) > 1 and (times[0] or (required == 2 and times[1])):

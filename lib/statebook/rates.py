@@ -30,13 +30,8 @@ def of_control(sys: Any, x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
 
 
 def of_function(f: Function, number: int, x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
-    """Evaluate a function of so many of x, u, t, which must not change the caller's arrays."""
-    return called(f, number, x.copy(), u.copy(), t)
-
-
-def called(f: Function, number: int, x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
-    """Evaluate a function of so many of x, u, t; what it returns may be its buffer."""
-    value = copied(f(*(x, u, t)[:number]))
+    """Evaluate a function of so many of x, u, t: apart from the caller's arrays and its own."""
+    value = copied(f(*(x.copy(), u.copy(), t)[:number]))
     # A column for a state, as a SymPy matrix or a matrix product makes it.
     return value[:, 0] if value.ndim == x.ndim + 1 and value.shape[1] == 1 else value
 
@@ -49,6 +44,5 @@ def make_portable(kind: type) -> None:
 def _reduced(sys: Any) -> tuple[Any, ...]:
     kind: Callable[..., Any] = type(sys)
     names = {"states": sys.state_labels, "inputs": sys.input_labels, "outputs": sys.output_labels}
-    matrices = map(np.array, (sys.A, sys.B, sys.C, sys.D))
     make = partial(kind, **names, name=sys.name, remove_useless_states=False)
-    return make, (*matrices, sys.dt)
+    return make, (*map(np.array, (sys.A, sys.B, sys.C, sys.D)), sys.dt)

@@ -48,8 +48,7 @@ def through(
     beyond = ~np.isfinite(states.reshape(-1, len(times))).all(axis=0)
     if beyond.any():  # within the last step, or where an interpolation asks outside the domain
         states, times = states[..., : np.argmax(beyond)], times[: np.argmax(beyond)]
-        why = "the interpolated state is not finite"
-        stop = stop or StoppedError(why, times[-1], states[..., -1])
+        stop = stop or StoppedError("the interpolation is not finite", times[-1], states[..., -1])
     controls = None
     if system.m:
         with np.errstate(all="ignore"):
@@ -65,9 +64,8 @@ def through(
             raise ValueError(f"u(x, t) must be finite, got {controls[..., k]} at t = {times[k]:g}")
         controls = None  # the control is what stopped the simulation
     labels = system.inputs if controls is not None else None
-    found = tuple(solver.found)
     run = of_run(
-        Trajectory(times, states, controls, (), system.states, labels, found),
+        Trajectory(times, states, controls, (), system.states, labels, tuple(solver.found)),
         dense,
         felt.plan if system.m and controls is not None else None,
     )

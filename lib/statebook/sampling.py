@@ -136,7 +136,13 @@ def discretize_many(
     >>> Ad[0].tolist(), Bd[0].tolist()
     ([[1.0, 0.5], [0.0, 1.0]], [[0.125], [0.5]])
     """
-    A, B = pair(A, B)
+    A, B = _validate.array("A", A), _validate.array("B", B)
+    if A.ndim not in (2, 3) or A.shape[-1] != A.shape[-2]:
+        raise ValueError(f"A must have shape (N, n, n) or (n, n), got {A.shape}")
+    if B.ndim != A.ndim or B.shape[:-1] != A.shape[:-1]:
+        raise ValueError(
+            f"B must have shape ({', '.join(map(str, A.shape[:-1]))}, m), got {B.shape}"
+        )
     return one_step(A, B, _validate.positive("dt", dt), _method(method))
 
 
@@ -232,15 +238,3 @@ def state_space(sys: Any) -> control.StateSpace:
     result = linearize(system, np.zeros(system.n))
     result.name = system.name
     return result
-
-
-def pair(A: Any, B: Any, *, stack: bool = True) -> tuple[np.ndarray, np.ndarray]:
-    """Return A and B checked: (n, n) and (n, m), or stacks of as many of them."""
-    A, B = _validate.array("A", A), _validate.array("B", B)
-    if A.ndim not in ((2, 3) if stack else (2,)) or A.shape[-1] != A.shape[-2]:
-        raise ValueError(f"A must have shape {'(N, n, n) or ' * stack}(n, n), got {A.shape}")
-    if B.ndim != A.ndim or B.shape[:-1] != A.shape[:-1]:
-        raise ValueError(
-            f"B must have shape {(*A.shape[:-1], 'm')}, got {B.shape}".replace("'", "")
-        )
-    return A, B

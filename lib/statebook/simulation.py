@@ -12,7 +12,6 @@ from statebook.clock import Clock
 from statebook.control_trajectory import ControlTrajectory
 from statebook.dense_output import Steps
 from statebook.events import watches
-from statebook.models.base import Model
 from statebook.policies import Policy, as_control, as_plan, at_start, example_input, shaped, valued
 from statebook.probes import takes_batches
 from statebook.runge_kutta import METHODS, SEMI_IMPLICIT_EULER
@@ -139,7 +138,7 @@ def simulate(
     if method in _FIXED_STEP and given is None and not known.discrete:
         raise ValueError(f'method "{method}" steps from time to time: give times, not duration')
     times = _times(given, duration, start, known)
-    control = as_control(u, known, x0, times, given)
+    control = as_control(u, known, x0, times, None if given is None else times)
     before = _control("u_before", u_before, known.m, x0.shape[1:])
     delay = _validate.non_negative("delay", delay)
     switches = np.union1d(_validate.real_array("switches", switches, (None,)), [])
@@ -147,7 +146,7 @@ def simulate(
     known = _checked(known, solver, events, x0, first, start)
     steps = Steps(x0, times, by_rows=solver.by_rows, all_kept=delay > 0)
     if known.discrete:
-        _require_whole("delay", delay, known, f", got {delay:g}")
+        _whole("delay", delay, known, f", got {delay:g}")
         return _iterated(known, steps, solver, control.policy, delay, before)
     end = float(times[-1])
     if delay > 1e-11 * (end - start):  # below, it is lost in the rounding of t
@@ -254,8 +253,7 @@ def simulate_clocked(
     times[::samples] = ticks
     steps = Steps(x0, times, by_rows=solver.by_rows)
     if known.discrete:
-        step = period / samples
-        _require_whole("period / samples", step, known, f", got {step:g}")
+        _whole("period / samples", period / samples, known, f", got {period / samples:g}")
         return _iterated(known, steps, solver, clock.sample, 0.0, before, per_interval=True)
     if max_step is None and may_vary(known):
         solver.stay_within(times)
@@ -298,8 +296,6 @@ def _as_system(system: Any, x0: np.ndarray, u: np.ndarray | None, t: float) -> S
         known = as_system(system, x0, u, names=("x0", "u"))
     if known.n != len(x0):
         raise ValueError(f"x0 must have n = {known.n} rows for {known.name}, got {x0.shape}")
-    if isinstance(system, Model):  # the checks of its dynamics take longer than the equations
-        return replace(known, rate=lambda x, u, t: system.rate(x, u))
     return known
 
 
@@ -350,24 +346,26 @@ def _checked(
     return system if agrees else replace(system, batched=False)
 
 
-def _require_whole(name: str, spans: Any, system: System, got: str, rounding: float = 1e-9) -> None:
+def _whole(name: str, spans: Any, system: System, got: str, rounding: float = 1e-9) -> Any:
+    """Return spans of time as whole samples; single precision is told by its rounding."""
     dt = float(system.dt or 1)
+    counts = np.round(np.divide(spans, dt))
     allowed = np.minimum(rounding * np.maximum(dt, np.abs(spans)), 0.01 * dt)
-    if np.any(np.abs(spans - np.round(spans / dt) * dt) > allowed):
+    if np.any(np.abs(spans - counts * dt) > allowed):
         raise ValueError(f"{name} must be whole samples of dt = {dt:g}{got}")
+    return counts
 
 
 def _times(given: np.ndarray | None, duration: Any, start: float, system: System) -> np.ndarray:
     if (given is None) == (duration is None):
         raise ValueError("give either duration or times" + (", not both" if duration else ""))
-    if given is not None:
-        if system.discrete:
-            # They become ticks: those of single precision may be as far from them.
-            _require_whole("times", given - start, system, f" apart, got {given}", 1e-6)
+    if given is None:
+        duration = _validate.positive("duration", duration)
+        if not system.discrete:
+            return np.linspace(start, start + duration, _SAMPLES)
+        counts = np.arange(_whole("duration", duration, system, f" apart, got {duration}") + 1)
+    elif system.discrete:
+        counts = _whole("times", given - start, system, f" apart, got {given}", 1e-6)
+    else:
         return given
-    duration = _validate.positive("duration", duration)
-    if not system.discrete:
-        return np.linspace(start, start + duration, _SAMPLES)
-    _require_whole("duration", duration, system, f" apart, got {duration}")
-    dt = float(system.dt or 1)
-    return np.array([tick(start, dt, k) for k in range(round(duration / dt) + 1)])
+    return np.array([tick(start, float(system.dt or 1), k) for k in counts])

@@ -22,10 +22,11 @@ class _ByColumns:
         super().__init__(*args, **options)
         self.columns = columns
         self._nodes = self.C.tolist()
+        self._before = [self.K[:i] for i in range(len(self.K))]
 
     def _step_impl(self: Any) -> tuple[bool, str | None]:
         t, y, K, last = float(self.t), self.y, self.K, self.n_stages
-        fun, nodes = self.fun, self._nodes
+        fun, nodes, before = self.fun, self._nodes, self._before
         min_step = 10 * (math.nextafter(t, math.inf) - t)
         h_abs, rejected = max(min(self.h_abs, self.max_step), min_step), False
         while h_abs >= min_step:
@@ -34,7 +35,7 @@ class _ByColumns:
             weights = h * self.A
             K[0] = self.f
             for i in range(1, last):
-                stage = y + weights[i, :i].dot(K[:i])
+                stage = y + weights[i, :i].dot(before[i])
                 K[i] = fun(min(t + nodes[i] * h, t_new), stage)
             y_new = y + (h * self.B).dot(K[:last])
             K[last] = fun(t_new, y_new)

@@ -23,6 +23,7 @@ _CHECK_EVERY = 5_000  # steps
 _MANY = 1_000_000  # steps: minutes to hours of computing
 _HOPELESS = 1e9  # steps: days
 _COLLAPSED = 0.01  # of a length that steps once had: the control chatters
+_FLOAT = np.dtype(float)
 _SMALLEST_RTOL = 100 * np.finfo(float).eps  # SciPy's own limit
 _HINT = (
     "is the control discontinuous in x (sample it with simulate_clocked), or the system stiff "
@@ -54,13 +55,13 @@ class Flow:
 
     def __call__(self, x: np.ndarray, policy: Policy, t: float) -> np.ndarray:
         """Evaluate the dynamics; it may be the function's own buffer."""
+        u = None
         try:
-            u, value = None, None
             u = policy(x, t)
             value = np.asarray(self._rate(x, u, t))
         except Exception as error:
             return self._failed(error, x, "the dynamics" if u is not None else "u(x, t)", t)
-        if value.shape != x.shape or value.dtype.kind not in "biuf":
+        if value.shape != x.shape or (value.dtype is not _FLOAT and value.dtype.kind not in "biuf"):
             self._refuse(value, x, u, t)
         return value
 
@@ -176,10 +177,12 @@ class Solver:
     def stay_within(self, times: np.ndarray) -> np.ndarray:
         """Let no step be longer than the distance of the times there; return its switches."""
         gaps = np.diff(times)
+        if not len(gaps) or np.ptp(gaps) <= 1e-9 * gaps[0]:
+            self.max_step = min([self.max_step, *gaps[:1].tolist()])
+            return times[:0]
         self._times, self._gaps = times.tolist(), [*gaps.tolist(), *gaps[-1:].tolist()]
         # LSODA's longest step is fixed from start to start.
-        uneven = self.method == "LSODA" and len(gaps) and np.ptp(gaps) > 1e-9 * gaps[0]
-        return times if uneven else times[:0]
+        return times if self.method == "LSODA" else times[:0]
 
     def _longest(self, t: float) -> float:
         """The longest step from a time."""

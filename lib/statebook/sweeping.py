@@ -230,7 +230,7 @@ def _entropy(function: Any, grid: Mapping[str, Any], seed: int | None) -> tuple[
         )
     if seed is not None and not wants:
         raise TypeError("seed is for a function with a parameter rng, which this one has not")
-    if seed is None and wants and rng is not None and rng.default is rng.empty:
+    if seed is None and rng and wants and rng.default is rng.empty:
         raise TypeError("seed is required for a function with a parameter rng: give an integer")
     if seed is None:
         return int.from_bytes(np.random.default_rng().bytes(16), "little"), False

@@ -13,6 +13,7 @@ from statebook import _validate, rates
 from statebook.models.base import Model
 from statebook.probes import (
     arguments_of,
+    copied,
     depends_on_time,
     number_of_inputs,
     require_pure,
@@ -233,9 +234,10 @@ def as_system(
 
 def _from_model(model: Any) -> System:
     plain = getattr(type(model), "dynamics", None) is Model.dynamics
-    f = model.rate if plain else model.dynamics  # dynamics checks once more what System does
+    # Its dynamics would check once more what System does.
+    rate = model.rate if plain else partial(rates.of_model, model.dynamics)
     return System(
-        rate=partial(rates.of_model, f),
+        rate=rate,
         states=tuple(model.states),
         inputs=tuple(model.inputs),
         linear=getattr(model, "linear", False),
@@ -248,7 +250,6 @@ def _from_control(sys: Any) -> System:
     import control
 
     rates.make_portable(control.StateSpace)
-    rate: Any
     if isinstance(sys, control.StateSpace):
         rate = partial(rates.linear, np.asarray(sys.A), np.asarray(sys.B))
     elif isinstance(sys, control.NonlinearIOSystem) and sys.nstates is not None:
@@ -289,8 +290,8 @@ def _from_function(
             f"{input_name} was given, but the function takes x alone: write it f(x, u)"
         )
     timed = driven and accepted == 3
-    call = partial(rates.called, f, 3 if timed else 1 + driven)
-    rate = partial(rates.of_function, f, 3 if timed else 1 + driven)
+    number = 3 if timed else 1 + driven
+    rate = partial(rates.of_function, f, number)
     state = x0 if x0.ndim == 1 else x0[:, 0]
     if u0 is None and driven:
         m = number_of_inputs(lambda u: rate(state, u, 0.0), state.size)
@@ -308,9 +309,9 @@ def _from_function(
     def at_start(x: np.ndarray, u: np.ndarray) -> np.ndarray:
         return rate(x, u, 0.0)
 
-    require_pure(lambda x, u: call(x, u, 0.0), (state, drive))
-    number = next(N for N in (3, 4, 5) if N not in (state.size, drive.size))
-    beside = spread_beside(state, number), spread_beside(drive, number)
+    require_pure(lambda x, u: copied(f(*(x, u, 0.0)[:number])), (state, drive))
+    columns = next(N for N in (3, 4, 5) if N not in (state.size, drive.size))
+    beside = spread_beside(state, columns), spread_beside(drive, columns)
     return System(
         rate=rate,
         states=tuple(f"x[{i}]" for i in range(state.size)),

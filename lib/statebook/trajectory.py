@@ -420,10 +420,9 @@ class Trajectory(ReadOnly):
             raise ValueError("response must contain states: ask for them with return_x=True")
         if controls is not None and controls.ndim < states.ndim:
             controls = np.broadcast_to(controls[:, None], (len(controls), *states.shape[1:]))
-        if controls is None or len(controls) == 0:
-            return cls(response.t, states, state_labels=response.state_labels)
-        labels = response.state_labels, response.input_labels
-        return cls(response.t, states, controls, (), *labels)
+        driven = controls is not None and len(controls) > 0
+        labels = response.state_labels, response.input_labels if driven else None
+        return cls(response.t, states, controls if driven else None, (), *labels)
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
         """Write the samples as a table, exactly.

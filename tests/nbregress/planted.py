@@ -8,12 +8,16 @@ and prints how many were caught. The test command plants a few.
 
 from __future__ import annotations
 
+import base64
 import copy
+import io
 import json
+import math
 import random
 import re
 import sys
 import warnings
+import wave
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,7 +25,7 @@ from typing import Any
 import matplotlib.dates
 import matplotlib.ticker
 import numpy as np
-from matplotlib.colors import LogNorm
+from matplotlib.colors import LogNorm, PowerNorm, TwoSlopeNorm
 from matplotlib.figure import Figure
 from matplotlib.offsetbox import AnchoredText
 
@@ -31,6 +35,11 @@ from nbregress.numbers import split_numbers
 from nbregress.outputs import outputs_differences
 from nbregress.settings import Settings
 from nbregress.values import data_bundle
+
+try:
+    import pandas as pd
+except ImportError:  # its kinds of faults are planted where it is
+    pd = None
 
 T = np.linspace(0.0, 10.0, 400)
 Y, X = np.mgrid[-1:1:15j, -1:1:16j]
@@ -158,6 +167,66 @@ def _(rng: random.Random) -> tuple[Any, Any]:
     return [np.array([value, 2.0]), 3.0], [np.array([value * 1.0005, 2.0]), 3.0]
 
 
+def replaced(name: str, *pairs: tuple[float, float]) -> None:
+    """A kind of fault: of one to three thousand numbers, one is another."""
+
+    @plant(FAULTS, name)
+    def _(rng: random.Random) -> tuple[Any, Any]:
+        values = np.array([rng.uniform(-9, 9) for _ in range(rng.choice([1, 2, 30, 3000]))])
+        changed, k = values.copy(), rng.randrange(values.size)
+        old, new = rng.choice(pairs)
+        values[k], changed[k] = (v if v else values[k] for v in (old, new))
+        return values, changed
+
+
+INF, NAN = math.inf, math.nan
+replaced("no number in place of a number", (0, NAN), (NAN, 0), (0, INF), (-INF, 0))
+replaced("sign of an infinity", (INF, -INF), (-INF, INF), (INF, NAN), (NAN, -INF))
+
+
+@plant(FAULTS, "a mask")
+def _(rng: random.Random) -> tuple[Any, Any]:
+    values, size = rng.uniform(1, 2), rng.randint(3, 50)
+    places = rng.sample(range(size), 2)
+    return tuple(np.ma.array(np.full(size, values), mask=np.arange(size) == k) for k in places)
+
+
+class Quantity(np.ndarray):
+    """Numbers with a unit, as several packages have them."""
+
+    unit = "m"
+
+    def __repr__(self) -> str:
+        return f"<Quantity {np.asarray(self)} {self.unit}>"
+
+
+@plant(FAULTS, "a unit of an array")
+def _(rng: random.Random) -> tuple[Any, Any]:
+    pair = [np.full(rng.randint(1, 9), 1.5).view(Quantity)] * 2
+    pair[1] = pair[0].copy()
+    pair[1].unit = rng.choice(["km", "m/s", "s"])
+    return pair[0], pair[1]
+
+
+def frames(name: str, change: Callable[[Any], Any]) -> None:
+    """A kind of fault in a data frame."""
+
+    @plant(FAULTS, name)
+    def _(rng: random.Random) -> tuple[Any, Any]:
+        rows = rng.randint(2, 300)
+        frame = pd.DataFrame(
+            {"t": np.arange(rows) * rng.random(), "kind": rng.choices("ab", k=rows)}
+        )
+        return frame, change(frame.copy())
+
+
+if pd is not None:
+    frames("order of rows", lambda f: f.iloc[::-1])
+    frames("name of an index", lambda f: f.rename_axis(index="k"))
+    frames("name of the columns", lambda f: f.rename_axis(columns="signal"))
+    frames("integers that become floats", lambda f: f.set_index(f.index * 1.0))
+    frames("unused category", lambda f: f.astype({"kind": pd.CategoricalDtype(["a", "b", "c"])}))
+
 texts(FAULTS, "a short version", '"{}.1"', '"{}.2"', lambda rng: rng.randint(0, 9))
 texts(FAULTS, "a hash", "commit {}e{}345", "commit {}e{}346", *[lambda r: r.randint(10, 99)] * 2)
 texts(FAULTS, "a sign", "x = {:.3f}", "x = -{:.3f}", near(0.1, 9))
@@ -275,6 +344,24 @@ simple(
 )
 simple("norm of an image", lambda ax, v: ax.imshow(1.5 + X, norm=v), None, LogNorm())
 C1, C2 = ["r", "b", "b"], ["r", "r", "b"]
+NORMS = TwoSlopeNorm(1.5, 0, 3), TwoSlopeNorm(1.6, 0, 3), PowerNorm(0.5), PowerNorm(0.7)
+simple("shape of a norm", lambda ax, v: ax.imshow(1.5 + X, norm=v), *map(copy.copy, NORMS))
+
+
+def symmetric(ax: Any, threshold: float) -> None:
+    ax.plot(T, T - 5)
+    ax.set_yscale("symlog", linthresh=threshold)
+
+
+simple("threshold of a scale", symmetric, 1.0, 2.0, 0.1)
+
+
+def crossed(ax: Any, order: int) -> None:
+    lines = ax.plot(T, T) + ax.plot(T, -T) + ax.plot(T, T**2, "--")
+    ax.legend(lines[::order], ["a", "b", "c"])
+
+
+simple("legend of other lines", crossed, 1, -1)
 simple("classes shown by colour", lambda ax, v: ax.scatter([0, 1, 2], [0, 1, 2], c=v), C1, C2)
 simple("bars of one colour", lambda ax, v: ax.bar([0, 1, 2], [1, 2, 3], color=v), C1, C2)
 
@@ -357,8 +444,6 @@ def tree(name: str, mime: str, make: Callable[[float], Any]) -> None:
 
 
 def encoded(value: float) -> dict[str, Any]:
-    import base64
-
     raw = np.array([1.0, value, 3.0]).tobytes()
     y = {"dtype": "f8", "bdata": base64.b64encode(raw).decode()}
     return {"data": [{"type": "scatter", "y": y, "uid": "x"}], "layout": {}}
@@ -366,6 +451,24 @@ def encoded(value: float) -> dict[str, Any]:
 
 tree("an array of plotly", PLOTLY, encoded)
 tree("data of Vega", VEGA, lambda v: {"datasets": {"data-" + "a" * 32: [{"x": 1, "y": v}]}})
+tree("a choice of a widget", WIDGET, lambda v: {"_options_labels": ["off", f"{v:.3f}"]})
+
+
+def sound(values: Any) -> dict[str, str]:
+    file = io.BytesIO()
+    with wave.open(file, "wb") as out:
+        out.setparams((1, 2, 8000, 0, "NONE", ""))
+        out.writeframes((values * 30_000).astype("<i2").tobytes())
+    data = base64.b64encode(file.getvalue()).decode()
+    return {"text/html": f'<audio><source src="data:audio/wav;base64,{data}"/></audio>'}
+
+
+@plant(FAULTS, "a sound")
+def _(rng: random.Random) -> tuple[Any, Any]:
+    pitch = rng.uniform(10, 90)
+    return sound(np.sin(pitch * T)), sound(np.sin((pitch + rng.uniform(0.1, 5)) * T))
+
+
 tree("a widget's value", WIDGET, lambda v: {"model": "FloatSliderModel", "value": v})
 
 
@@ -427,6 +530,28 @@ texts(
     lambda r: 5,
 )
 texts(NOISE, "an overwritten line", "{} %\rdone", "done", lambda rng: rng.randint(1, 99))
+
+
+texts(
+    NOISE,
+    "a scalar of another NumPy",
+    "[np.float64({0:.3f}), np.True_]",
+    "[{0:.3f}, True]",
+    near(1, 9),
+)
+texts(
+    NOISE,
+    "a progress bar of a notebook",
+    "\u20073/3\u2007[00:00&lt;00:00,\u2007{:.2f}it/s]",
+    "\u20073/3\u2007[00:01&lt;00:00,\u200735.83it/s]",
+    near(1, 9),
+)
+
+
+@plant(NOISE, "rounding of a sound")
+def _(rng: random.Random) -> tuple[Any, Any]:
+    values = np.sin(rng.uniform(10, 90) * T)
+    return sound(values), sound(last_digits(values, rng))
 
 
 @plant(NOISE, "identifiers in HTML")

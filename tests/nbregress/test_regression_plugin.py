@@ -352,11 +352,15 @@ def test_bad_option(tmp_path, arguments):
 
 def test_settings(tmp_path):
     (tmp_path / "pytest.ini").write_text("[pytest]\nregression_rtol = 0.1\n")
-    output = new_output("stream", name="stdout", text="1.0000\n")
-    stored = [cell("print('1.0500')", execution_count=1, outputs=[output])]
-    store(tmp_path / "a.ipynb", stored)
-    assert run_pytest(tmp_path)["a.ipynb", "Cell 0"][0] == "passed"
-    assert run_pytest(tmp_path, "--regression-rtol=0.01")["a.ipynb", "Cell 0"][0] == "failure"
+    waits = cell("import threading; threading.Event().wait()", execution_count=2)
+    store(tmp_path / "a.ipynb", [printing("1.0500", "1.0000\n"), waits])
+    assert run_pytest(tmp_path, "a.ipynb::Cell 0")["a.ipynb", "Cell 0"][0] == "passed"
+    options = ["--regression-rtol=0.01", "--nb-timeout=3", "--nb-report=page.html"]
+    found = run_pytest(tmp_path, *options)
+    assert found["a.ipynb", "Cell 0"][0] == "failure"
+    assert "Timeout of 3 seconds" in found["a.ipynb", "Cell 1"][1]
+    page = (tmp_path / "page.html").read_text("utf-8")
+    assert "2 of 2 cells differ or fail" in page and "Timeout of 3 seconds" in page
 
 
 def test_without_nbval_the_plugin_loads_nothing():
@@ -435,8 +439,10 @@ def test_another_language_is_said_and_a_path_with_a_space_can_be_pasted(tmp_path
     nbformat.write(nb, tmp_path / "an r.ipynb")
     done = pytest_here(tmp_path)
     assert "1 failed, 1 passed" in done.stdout and "3.15, stored 3.14" in done.stdout
-    assert "data behind texts and pixels: none in language r (2)" in done.stdout
+    assert "language r: text compared, figures by pixels (2)" in done.stdout
     assert 'refresh "an r.ipynb"' in done.stdout
+    done = in_process(tmp_path, main, ["refresh", "."])
+    assert "language r: text compared, figures by pixels; rewritten" in done.stderr
 
 
 def test_a_data_frame_s_column_is_named():

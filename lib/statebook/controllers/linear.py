@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -338,7 +338,7 @@ class LQR:
         error = self.error(x, t)
         return np.einsum("i...,ij,j...->...", error, self.S, error)
 
-    @property
+    @cached_property
     def level(self) -> float:
         """The cost to go below which no input reaches its limit."""
         if self.limit is None:
@@ -375,7 +375,7 @@ class LQR:
         # C x - r, as C Nx = I: the way round a circle included.
         error = self.C @ self.error(y, t)[:n]
         z = unwound(error, u, self.K[:, n:], self.limit)
-        return np.concatenate([motion, y[n:] + z if system.discrete else z + 0 * y[n:]])
+        return np.concatenate([motion, y[n:] + z if system.discrete else z])
 
 
 def at_rest_at(target: Any) -> tuple[np.ndarray, np.ndarray]:

@@ -15,7 +15,7 @@ from statebook.controllers import linear
 from statebook.equilibrium import find_equilibrium
 from statebook.errors import EquilibriumNotFoundError
 from statebook.residuals import labels_among, point
-from statebook.systems import System, as_system
+from statebook.systems import System, as_system, output_map
 
 Measurement = Callable[[np.ndarray], np.ndarray]
 
@@ -130,11 +130,8 @@ class PID:
         x, u = self.x_guess, self.u_guess  # of a plain function, they tell n and m
         if x is None and self.outputs is None:
             x, u = linear.at_rest_at(self.target)
-        try:
-            system = as_system(self.system, x, np.zeros(1) if u is None else u)
-        except (TypeError, ValueError) as error:  # in the words of PID
-            said = str(error).replace("x0", "x_guess").replace("u0", "u_guess")
-            raise type(error)(said) from error
+        u = np.zeros(1) if u is None else u
+        system = as_system(self.system, x, u, names=("x_guess", "u_guess"))
         return system, self._measurement(system)
 
     def _measures(self, system: System) -> bool:
@@ -156,15 +153,15 @@ class PID:
         labels_among("outputs", wanted, (*system.states, *own))
         index = [own.index(label) for label in labels_among("outputs", wanted, own)]
 
-        def output(x: np.ndarray, u: np.ndarray) -> np.ndarray:
-            return np.asarray(source.output(0.0, x, u))[index]
+        output: Any = output_map(system)[1]
 
         def measure(x: np.ndarray) -> np.ndarray:
-            columns = [output(column, np.zeros(m)) for column in x.reshape(n, -1).T]
-            return np.stack(columns, axis=1).reshape(-1, *x.shape[1:])
+            batch = x.reshape(n, -1)
+            y = output(batch, np.zeros((m, batch.shape[1])), 0.0)[index]
+            return np.asarray(y.reshape(-1, *x.shape[1:]))
 
         beside = np.zeros(n) if self.x_guess is None else np.asarray(self.x_guess, dtype=float)
-        if (output(beside, np.ones(m)) != measure(beside)).any():
+        if (output(beside[:, None], np.ones((m, 1)), 0.0)[index, 0] != measure(beside)).any():
             raise ValueError("outputs must not depend on the inputs at once")
         if hasattr(source, "C"):
             return partial(np.matmul, np.asarray(source.C)[index])
@@ -242,7 +239,7 @@ class PID:
         u = self._control(y, x, z, f, limit)
         error = linear.unwound(y - linear.columns(self.target, y), u, self.gains[1], limit)
         motion, step = np.asarray(system.rate(x, u + d, t)), self._step()
-        memory = [z + step * error if step else error + 0 * z]
+        memory = [z + step * error if step else error]
         if self.filter_time is not None:
             left = np.exp(-step / self.filter_time)
             memory.append(y + left * (f - y) if step else (y - f) * self._pace())

@@ -35,7 +35,8 @@ class SwingUp:
     limit : float > 0 [N m]
         Largest magnitude of the torque.
     gain : float > 0 [1/(W s)]
-        How soon the pumping torque saturates.
+        How soon the pumping torque saturates: a small one pumps slowly, and against friction
+        not up to the top.
 
     Attributes
     ----------
@@ -50,8 +51,9 @@ class SwingUp:
 
     Notes
     -----
-    E' = u omega - damping omega^2: a torque in the direction of motion pumps. At rest at the
-    bottom, where the law gives nothing, it starts with the full torque. With friction the law is
+    E' = u omega - damping omega^2: a torque in the direction of motion pumps. In the lowest
+    hundredth of the height, where the law gives little, the torque of a start is added, full at
+    rest at the bottom. With friction the law is
     tried: from rest at any angle, the next swing must go higher or be caught.
 
     References
@@ -85,7 +87,7 @@ class SwingUp:
     def _require_growth(self) -> None:
         """Try the full torque on the model, at rest at angles from the bottom to the top."""
         pendulum = self.pendulum
-        angles = np.linspace(0.0, np.pi, _ANGLES + 2)[1:-1]
+        angles = np.linspace(0.0, np.pi, _ANGLES)[1:-1]
         start = np.stack([-np.pi / 2 - angles, 0.0 * angles])
         start = start[:, ~self._caught(start)]
         # No torque within the limit carries a swing higher than the full one.
@@ -109,16 +111,20 @@ class SwingUp:
         x, pendulum = state_of(x, 2), self.pendulum
         ahead = wrap_angle(x[0] + np.pi / 2) * np.sign(x[1])
         friction = 4 * pendulum.damping * np.sqrt(pendulum.g / pendulum.L) * (1 - np.sin(ahead / 2))
-        lack = pendulum.m * pendulum.g * pendulum.L - pendulum.energy(x) + friction
-        pump = np.clip(self.gain * lack * x[1], -self.limit, self.limit)
-        pump = np.where((np.abs(x[1]) < 1e-6) & (lack > 0), self.limit, pump)
+        weight, energy = pendulum.m * pendulum.g * pendulum.L, pendulum.energy(x)
+        pump = self.gain * (weight - energy + friction) * x[1]
+        # A jump at rest alone would chatter: the start fades with the height, and pushes on.
+        start = np.maximum(0.0, 1 - (weight + energy) / (2 * weight * _START))
+        pump += np.where(x[1] < 0, -self.limit, self.limit) * start
+        pump = np.clip(pump, -self.limit, self.limit)
         return np.where(self._caught(x), self.catch(x, t), pump[None])
 
 
 _SETTLING = 8.0  # [s] after the switch, in which the trial must come to rest
 _SETTLED = 0.01  # [rad], [rad/s]
 _SAMPLES = 401
-_ANGLES = 60
+_ANGLES = 62  # the bottom and the top among them
+_START = 0.01  # of the height of the top, below which the torque starts the swing
 _PERIODS = 2  # of small swings: within them the longest of these half swings ends
 
 

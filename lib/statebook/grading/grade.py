@@ -94,13 +94,10 @@ def grade(id: str, answer: Any, student: str | int) -> Grade:
         raise  # no fault of the answer
     except Exception as error:  # whatever an answer is, the student gets a sentence
         trouble = f"this answer does not work ({told(error)})"
-    if isinstance(trouble, Rubric):
-        points, rows = trouble.points, f"\n{trouble}"
-    else:
-        points, rows = 0 if trouble else task.points, ""
-    right = points == task.points
-    earned = f"{points} of {task.points} points"
-    message = (f"yes ({earned})" if right else f"{earned}" if rows else str(trouble)) + rows
+    rows = f"\n{trouble}" if isinstance(trouble, Rubric) else ""
+    points = trouble.points if isinstance(trouble, Rubric) else 0 if trouble else task.points
+    right, earned = points == task.points, f"{points} of {task.points} points"
+    message = (f"yes ({earned})" if right else earned if rows else str(trouble)) + rows
     return Grade(id, right, message, points)
 
 
@@ -115,8 +112,7 @@ def _trouble(task: Exercise, answer: Any, p: Parameters, student: str | int) -> 
     if callable(wanted):
         with Apart(answer) as function:
             try:
-                judge = task.judge or partial(_compared, task, student)
-                trouble = judge(function, p)
+                trouble = (task.judge or partial(_compared, task, student))(function, p)
             except Exception:
                 if not function.trouble:
                     raise
@@ -140,12 +136,11 @@ def _compared(task: Exercise, student: str | int, function: Apart, p: Parameters
     """Compare a function with the solution at the exercise's inputs."""
     assert task.inputs is not None
     points = task.inputs(p, task.rng(student))
-    solution = task.solution(p)
 
     def values(called: Callable[..., Any]) -> np.ndarray:
         return np.stack([np.asarray(called(*point), dtype=float) for point in points])
 
-    wanted, found = values(solution), []
+    wanted, found = values(task.solution(p)), []
     for point in points:
         found.append(function(*point))
         if np.shape(found[-1]) != wanted.shape[1:]:
@@ -163,8 +158,8 @@ def compare(
         same = answer.strip().casefold()
         if same == wanted.casefold():
             return ""
-        hints = [s.hint for s in task.slips if slipped(s.answer).casefold() == same]
-        return hints[0] if hints else "that is not it"
+        hints = (s.hint for s in task.slips if slipped(s.answer).casefold() == same)
+        return next(hints, "that is not it")
     value, wanted = as_array(answer), np.asarray(wanted, dtype=float)
     if trouble := _not_like(value, wanted, answer):
         return trouble
@@ -194,5 +189,5 @@ def _not_like(value: np.ndarray, wanted: np.ndarray, answer: Any) -> str:
 
 def _close(value: np.ndarray, wanted: Any, rtol: float) -> bool:
     wanted = np.asarray(wanted, dtype=float)
-    largest = np.abs(wanted).max(initial=0.0)
-    return value.shape == wanted.shape and bool(np.all(np.abs(value - wanted) <= rtol * largest))
+    room = rtol * np.abs(wanted).max(initial=0.0)
+    return value.shape == wanted.shape and bool(np.all(np.abs(value - wanted) <= room))

@@ -106,7 +106,7 @@ def main(arguments: list[str]) -> None:
     options = parser.parse_args(arguments)
     try:
         written = hand_out(options.workbook, options.folder)
-    except ValueError as error:
+    except (OSError, ValueError) as error:
         sys.exit(f"students: {error}")
     exercises = sum(path.parent.name == "exercises" for path in written)
     print(f"{options.folder}: {len(written)} notebooks, {exercises} of them exercises")

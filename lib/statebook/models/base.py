@@ -53,13 +53,15 @@ class Model:
         """
         return self.rate(*self._arguments(x, u))
 
-    def rate(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
+    def rate(self, x: np.ndarray, u: np.ndarray, t: float = 0.0) -> np.ndarray:
         """Evaluate x' = f(x, u) for arrays that need no check, as in a simulation.
 
         Parameters
         ----------
         x : array, shape (n,) or (n, N)
         u : array, shape (m,) or (m, N)
+        t : float [s]
+            No model depends on it.
 
         Returns
         -------
@@ -71,7 +73,7 @@ class Model:
         >>> sb.Particle(m=2.0).rate(np.array([0.0, 1.0]), np.array([3.0]))
         array([1. , 1.5])
         """
-        value = np.empty(x.shape, np.result_type(x, u))
+        value = np.empty(x.shape, x.dtype if x.dtype is u.dtype else np.result_type(x, u))
         for i, row in enumerate(self._derivative(x, u)):
             value[i] = row
         return value

@@ -42,14 +42,19 @@ _BEND = 1.2  # between nodes bounds are taken for quadratics, bent by this much 
 
 
 class Ceiling(NamedTuple):
-    """Bounds on every motion: s'^2 at both ends of the intervals, (2, N), and the duration.
+    """Bounds on every motion: s'^2 at both ends of the intervals, (2, N), and their times (N,).
 
     Where there can be no motion, it is not possible.
     """
 
     x: np.ndarray
-    duration: float
+    times: np.ndarray
     possible: bool
+
+    @property
+    def duration(self) -> float:
+        """Time that no motion is below."""
+        return float(self.times.sum())
 
 
 @_QUIET
@@ -65,10 +70,11 @@ def ceiling(limits: Sequence[Limit], grid: Grid) -> Ceiling:
     blocks = [slice(first, first + _BLOCK) for first in range(0, len(grid.h), _BLOCK)]
     parts = [_changes_and_caps(limits, grid.part(block)) for block in blocks]
     x, possible = _highest_motion(parts, grid.sections)
-    duration = 0.0
-    for part, block in zip(parts, blocks, strict=True):
-        duration += float(_least_times(*part, x[:, block], grid.h[block]).sum())
-    return Ceiling(x, duration, possible)
+    times = [
+        _least_times(*part, x[:, block], grid.h[block])
+        for part, block in zip(parts, blocks, strict=True)
+    ]
+    return Ceiling(x, np.concatenate(times), possible)
 
 
 @_QUIET

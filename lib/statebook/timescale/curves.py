@@ -181,4 +181,5 @@ def on_grid(curve: Any, grid: Grid, z: np.ndarray, derivative: int) -> np.ndarra
     start, middle = grid.s_at(np.array([0.0, 0.5]))
     piece = np.clip(np.searchsorted(curve.x, middle, side="right") - 1, 0, len(curve.x) - 2)
     offset = start - curve.x[piece] + np.multiply.outer(z, grid.h / grid.stretch)
+    offset = np.clip(offset, 0.0, np.diff(curve.x)[piece])  # free of rounding, where it is steep
     return horner(curve.c, piece, offset, derivative) / grid.stretch[:, None] ** derivative

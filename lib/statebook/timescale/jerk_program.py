@@ -15,7 +15,7 @@ import scipy
 
 from statebook.errors import InfeasiblePathError
 from statebook.timescale.grid import Grid
-from statebook.timescale.limits import Limit, blocked
+from statebook.timescale.limits import Limit, TorqueLimit, blocked
 
 _STEPS = 10  # times that rows are added, at most
 _LOOK = (0.0, 0.5, 1.0)  # where in an interval limits are asked for
@@ -99,7 +99,9 @@ def _rows(
         room = np.broadcast_to(limit.room(grid), (1, *b.shape))[0] + margin
         for side, sign, bound in (("upper", 1, upper), ("lower", -1, -lower)):
             names = [limit.name(row, side) for row in range(b.shape[1])]
-            yield *ends(0.0, sign * a, sign * b, bound - room), names
+            own = np.isfinite(bound) & (bound > 0) & (not isinstance(limit, TorqueLimit))
+            unit = np.where(own, bound, 1.0)  # of two bounds on a row one may be far smaller
+            yield *ends(0.0, sign * a / unit, sign * b / unit, bound / unit - room), names
     p1, p2, p3 = (grid.path(at, k)[0] for k in (1, 2, 3))
     last = x[:-1] + grid.h * (2 * z * u[:-1] + z * z * (u[1:] - u[:-1]))
     last = np.maximum(last, np.minimum(x[:-1], x[1:]) / 4)[:, None]

@@ -138,10 +138,15 @@ def _refined(
     gap, count = np.inf, max(_FIRST, 3 * len(stretch.path.h))
     first = True
     while True:
-        motion = _regridded(stretch, motion, count)
+        motion = replace(_regridded(stretch, motion, count), excess=np.inf)
         last = np.inf
         for _ in range(_STEPS):
-            motion = improved(task, stretch, motion, everything=first)
+            try:
+                motion = improved(task, stretch, motion, everything=first)
+            except InfeasiblePathError:  # or rounding, on this grid
+                if best is None and count >= _SEARCH and not np.isfinite(motion.excess):
+                    raise
+                break
             first = False
             duration = times_of(stretch, motion).sum()
             change, last = abs(last - duration), duration

@@ -45,9 +45,7 @@ def smooth_pieces(path: Path, cuts: np.ndarray) -> Pieces:
         Values of s at which limits are not smooth.
     """
     knots = path.curve.x
-    inside = cuts[(cuts > knots[0]) & (cuts < knots[-1])]
-    near = np.abs(inside - knots[np.abs(inside[:, None] - knots).argmin(axis=1)])
-    inside = np.unique(inside[near > 1e-12 * (knots[-1] - knots[0])])
+    inside = apart(cuts, knots)
     source = np.concatenate([np.arange(len(knots) - 1), np.searchsorted(knots, inside) - 1])
     origin = np.concatenate([knots[:-1], inside])
     order = np.argsort(origin, kind="stable")
@@ -55,7 +53,7 @@ def smooth_pieces(path: Path, cuts: np.ndarray) -> Pieces:
     end = np.append(origin[1:], knots[-1])
     coefficients, source, origin, end = _of_low_degree(path.curve.c, knots, source, origin, end)
     begin, width = origin - knots[source], end - origin
-    c, largest, moving = _without_rounding(coefficients, width)
+    c, largest, moving = _without_rounding(coefficients, width, source)
     count = len(width)
     piece, unit = np.arange(count), np.where(largest > 0, largest, 1.0)
     ends = np.stack([np.zeros(count), width])
@@ -78,6 +76,14 @@ def smooth_pieces(path: Path, cuts: np.ndarray) -> Pieces:
     stretch = _running_product(ratio, smooth)
     c, width = c / stretch[:, None] ** powers, width * stretch
     return Pieces(c, width, source, begin, origin, stretch, moving, rest, smooth)
+
+
+def apart(points: np.ndarray, knots: np.ndarray) -> np.ndarray:
+    """Return the points between knots, in order, that are no knot and no other to rounding."""
+    points = np.sort(points[(points > knots[0]) & (points < knots[-1])])
+    right = np.searchsorted(knots, points)
+    gaps = points - knots[right - 1], knots[right] - points, np.diff(points, prepend=-np.inf)
+    return np.asarray(points[np.min(gaps, axis=0) > 1e-12 * (knots[-1] - knots[0])])
 
 
 def _of_low_degree(
@@ -106,7 +112,7 @@ def _of_low_degree(
 
 
 def _without_rounding(
-    c: np.ndarray, width: np.ndarray
+    c: np.ndarray, width: np.ndarray, source: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Drop movements and degrees that are rounding.
 
@@ -122,7 +128,10 @@ def _without_rounding(
     slopes = (powers * moves / width[:, None]).max(axis=0)
     largest = slopes.max(axis=0)
     size = np.abs(c[-1]).max(axis=0)
-    still = moves[:-1].sum(axis=0) <= _ROUNDING * (size + largest * width.sum())
+    # Of a whole piece of the curve: in a short part of it every movement is as small.
+    first = np.flatnonzero(np.diff(source, prepend=-1))
+    moved = np.add.reduceat(moves[:-1].sum(axis=0), first)
+    still = (moved <= _ROUNDING * (size + largest * width.sum()))[source]
     c = c.copy()
     c[:-1, still] = 0.0
     while len(c) > 2 and np.all(

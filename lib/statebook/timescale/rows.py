@@ -21,6 +21,7 @@ from statebook.timescale.limits import SIDES, Limit, polygon
 
 MARGIN = 1e-9  # of every limit, left to rounding
 FREE = 1e6  # bound on s'^2, in units of the scale, where nothing else binds it
+_LEAST = 1e-14  # part of the largest bound in an interval that is the unit of the least
 
 
 _BLOCK = 1000  # intervals at a time
@@ -106,8 +107,9 @@ def _block_rows(
         room = limit.room(grid)
         for side, sign, bound in bounds:
             size = limit.scale
-            if np.ndim(c) == 0:
-                size = np.abs(bound).max(axis=0) if bound.ndim == 3 else np.abs(bound)
+            if np.ndim(c) == 0:  # each inequality's own: a bound may fall steeply in an interval
+                size = np.abs(bound)
+                size = np.maximum(size, _LEAST * size.max(axis=0)) if bound.ndim == 3 else size
             with np.errstate(invalid="ignore"):
                 constant = sign * (transform(c) - bound) / size
             constant = np.where(np.isnan(constant), -1.0, constant) + room

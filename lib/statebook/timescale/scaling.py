@@ -30,7 +30,7 @@ from statebook.timescale.timed_path import TimedPath
 from statebook.timescale.tool import tool_limits
 from statebook.timescale.torques import torque_limit
 
-_COARSE = 96  # intervals of the first grid
+_COARSE = 192  # intervals of the first grid
 _ENDS = np.array([0.0, 1.0])
 _SMALL = 1e-9  # part of a scale that counts as 0
 _ROUNDING = 1e-12  # of the audit; a motion that it slows down is then inside the limits

@@ -20,9 +20,9 @@ _PARTS = 4  # an interval is split into at most so many
 
 
 def refine(
-    limits: Sequence[Limit], profile: Profile, stuck: bool = False
+    limits: Sequence[Limit], profile: Profile, least: np.ndarray, stuck: bool = False
 ) -> tuple[Grid, np.ndarray]:
-    """Split the intervals where time is lost.
+    """Split the intervals where time is lost, or not known not to be.
 
     On the fastest motion some limit is reached at every instant: time is lost where none is.
 
@@ -30,6 +30,8 @@ def refine(
     ----------
     limits : sequence of Limit
     profile : Profile
+    least : array, shape (N,)
+        Times of the intervals that no motion is below.
     stuck : bool
         Whether no motion was found on the grid: then all intervals are split.
 
@@ -41,7 +43,8 @@ def refine(
     """
     x, u = profile.x(_LOOK), profile.u(_LOOK)
     use = np.max([limit.use(profile.grid, _LOOK, u, x).max(axis=2) for limit in limits], axis=0)
-    lost = np.diff(profile.times) * np.clip(1 - use, 0, 1).mean(axis=0)
+    times = np.diff(profile.times)
+    lost = np.maximum(times * np.clip(1 - use, 0, 1).mean(axis=0), times - least)
     allowed = max(float(lost.sum()), 1e-12 * profile.duration) / (_GAIN * len(lost))
     parts = np.clip(np.ceil(np.sqrt(lost / allowed)), 1 + stuck, _PARTS).astype(int)
     parts[_bottlenecks(profile)] = _PARTS
@@ -100,7 +103,7 @@ def _slopes(profile: Profile) -> tuple[np.ndarray, np.ndarray]:
 
 
 PASSES = 8  # of splitting for torques
-_GAIN = 4.0  # a refinement divides the time lost by about so much
+_GAIN = 3.0  # a refinement divides the time lost by about so much
 _WORK = 8000.0  # rows that are solved in all for each interval of a first grid, at most
 _SMALLEST = 1000  # intervals: a smaller first grid counts as one of these
 _OVERHEAD = 110  # of an interval, in rows
@@ -145,7 +148,7 @@ def fastest(limits: Sequence[Limit], grid: Grid, tolerance: float) -> tuple[Prof
         work -= len(grid.h) * (_OVERHEAD + rows)
         if best is not None and least >= best.duration * (1 - tolerance):
             return best, least
-        grid, curvature = refine(limits, guide, stuck=best is None)
+        grid, curvature = refine(limits, guide, top.times, stuck=best is None)
         if best is not None and len(grid.h) * (_OVERHEAD + rows) > work:
             return best, least
 
@@ -166,18 +169,21 @@ def solve(
     )
     top = np.full_like(top, 1e100) if every_row else np.minimum(top, FREE * scale)
     while True:
+        stuck = None
         try:
             profile = fastest_profile(limits, grid, curvature, scale, top, narrowing, slowest)
-        except StuckError:
+            reach = profile.controllable[1].max(axis=1)
+        except StuckError as error:
+            stuck, reach = error, error.reach
+        if rescalings == 0 or np.all((reach > scale / _RANGE) | (reach == 0)):
+            if stuck is None:
+                return profile
             if narrowing > _LARGEST_NARROWING / 10:
-                raise
+                raise stuck
             narrowing *= 100
-            continue
-        reach = profile.controllable[1].max(axis=1)
-        if rescalings == 0 or np.all(reach > scale / _RANGE):
-            return profile
-        rescalings -= 1
-        scale = np.where(reach > 0, reach, scale)
+        else:
+            rescalings -= 1
+            scale = np.where(reach > 0, reach, scale)
 
 
 def _require_bounded(limits: Sequence[Limit], grid: Grid) -> None:

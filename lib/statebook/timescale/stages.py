@@ -38,6 +38,7 @@ class StuckError(Exception):
         self.interval, self.x, self.following = interval, x, following
         self.grid: Grid
         self.rows: Rows
+        self.reach: np.ndarray  # largest s'^2 in the intervals from which the end is reached
 
 
 @cache
@@ -110,12 +111,12 @@ def fastest_profile(
     for section in grid.sections:
         try:
             found = stages.controllable(section, floors, margin)
+            for side, values in zip(sets, found, strict=True):
+                side[section.first : section.last] = np.stack([values[:-1], values[1:]], axis=1)
             stages.drive(section, *found, x, slowest)
         except StuckError as stuck:
-            stuck.grid, stuck.rows = grid, rows
+            stuck.grid, stuck.rows, stuck.reach = grid, rows, sets[1].max(axis=1)
             raise
-        for side, values in zip(sets, found, strict=True):
-            side[section.first : section.last] = np.stack([values[:-1], values[1:]], axis=1)
     return Profile(grid, x[0], x[1], curvature, sets)
 
 

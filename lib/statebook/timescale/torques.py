@@ -15,6 +15,7 @@ from statebook.timescale.curves import fit
 from statebook.timescale.friction import DRAG_LOSS, friction_form, reversals
 from statebook.timescale.limits import TorqueLimit, blocked
 from statebook.timescale.path import Path
+from statebook.timescale.pieces import apart
 
 _SAMPLES = 5
 _CALLS = 8  # at one place, which show whether the function repeats itself
@@ -79,8 +80,9 @@ def fitted_torques(limit: TorqueLimit, path: Path, tolerance: float) -> TorqueLi
     """
     assert limit.dynamics is not None
     forms = _Forms(limit, path)
-    cells = np.union1d(path.curve.x, np.linspace(path.s_start, path.s_end, _CELLS + 1)[1:-1])
-    cells = np.union1d(cells, reversals(path))  # friction jumps there, or bends
+    knots, even = path.curve.x, np.linspace(path.s_start, path.s_end, _CELLS + 1)
+    extra = np.concatenate([even, reversals(path)])  # friction jumps where a joint turns, or bends
+    cells = np.sort(np.concatenate([knots, apart(extra, knots)]))
     for _ in range(_ROUNDS):
         found = fit(forms, cells, _DEGREE, tolerance, (0,), stall=_NOISE, floor=1.0)
         knots = found.curve.x
@@ -115,35 +117,48 @@ def fitted_torques(limit: TorqueLimit, path: Path, tolerance: float) -> TorqueLi
 class _Forms:
     """The terms of the torques along a path, in parts of the bounds, as functions of s.
 
-    At s'' = rate and s' = speed, values of about the largest motion, they are a s'', b s'^2, c, k
-    and d s', five groups of columns (M, 5 R).
+    At s'' = rate and s' = speed, values of about the largest motion in a piece of the path, they
+    are a s'', b s'^2, c, k and d s', five groups of columns (M, 5 R).
     """
 
     def __init__(self, limit: TorqueLimit, path: Path) -> None:
         assert limit.dynamics is not None
         self.dynamics, self.path, self.scale = limit.dynamics, path, limit.scale
         self.dry, self.viscous = limit.friction
-        length = path.s_end - path.s_start
-        self.rate, self.speed = 1 / length**2, 1 / length
-        s = path.s_start + length * np.linspace(0.05, 0.95, _SAMPLES)
-        inertial = np.abs(self(s)[:, : len(self.scale)]).max(axis=1)
-        self.rate /= max(float(np.median(inertial)), 1e-300)
-        self.speed = float(np.sqrt(self.rate * length))
+        self.knots = path.curve.x
+        widths = np.diff(self.knots)
+        s = (self.knots[:-1] + np.multiply.outer(_PROBES, widths)).ravel()
+        slope, bend = (
+            np.abs(path(s, k)).max(axis=0).reshape(-1, len(widths)).max(axis=0) for k in (1, 2)
+        )
+        slope = np.where(slope > 0, slope, slope.max())
+        turn = np.maximum(bend, slope**2 / np.dot(slope, widths))
+        few = path.s_start + (path.s_end - path.s_start) * np.linspace(0.05, 0.95, _SAMPLES)
+        self.rate, self.speed = 1 / slope, 1 / np.sqrt(turn)
+        parts = np.abs(self(few)).reshape(_SAMPLES, 5, -1).max(axis=2)
+        inertia = max(float(np.median(parts[:, 0])), 1e-300)
+        self.rate = self.rate / inertia
+        self.speed = self.speed / np.sqrt(max(inertia, parts[:, 1].max()))
+
+    def _piece(self, s: np.ndarray) -> np.ndarray:
+        """Return the pieces of the path that hold s (M,)."""
+        return np.clip(np.searchsorted(self.knots, s, side="right") - 1, 0, len(self.knots) - 2)
 
     def _torques(self, s: np.ndarray, speed: float, rate: float) -> np.ndarray:
-        """Return the torques at a given motion, (M, R), in parts of the bounds."""
-        slope = self.path(s, 1)
-        qdd = slope * rate + self.path(s, 2) * speed**2
-        return np.asarray(self.dynamics(self.path(s), slope * speed, qdd).T / self.scale)
+        """Return the torques in parts of the bounds, (M, R), at parts of the largest motion."""
+        slope, piece = self.path(s, 1), self._piece(s)
+        speeds = speed * self.speed[piece]
+        qdd = slope * (rate * self.rate[piece]) + self.path(s, 2) * speeds**2
+        return np.asarray(self.dynamics(self.path(s), slope * speeds, qdd).T / self.scale)
 
     def __call__(self, s: np.ndarray) -> np.ndarray:
         c = self._torques(s, 0.0, 0.0)
-        a = self._torques(s, 0.0, self.rate) - c
+        a = self._torques(s, 0.0, 1.0) - c
         k = d = np.zeros_like(c)
-        b = self._torques(s, self.speed, 0.0) - c
+        b = self._torques(s, 1.0, 0.0) - c
         if self.dry or self.viscous:  # moving(n) = k + n d speed + n^2 b speed^2
-            one, two = b, self._torques(s, 2 * self.speed, 0.0) - c
-            half = self._torques(s, self.speed / 2, 0.0) - c if self.viscous else one
+            one, two = b, self._torques(s, 2.0, 0.0) - c
+            half = self._torques(s, 0.5, 0.0) - c if self.viscous else one
             b = (two - 3 * one + 2 * half) / 1.5 if self.viscous else (two - one) / 3
             d = two - one - 3 * b if self.viscous else d
             k = one - d - b if self.dry else k
@@ -151,12 +166,14 @@ class _Forms:
 
     def sum(self, s: np.ndarray) -> np.ndarray:
         """Return the torques with all terms at once, (M, R)."""
-        return self._torques(s, self.speed, self.rate)
+        return self._torques(s, 1.0, 1.0)
 
     def unscaled(self, curve: Any) -> Any:
         """Return a fitted curve with columns in the units of a, b, c, k and d."""
-        units = [1 / self.rate, 1 / self.speed**2, 1.0, 1.0, 1 / self.speed]
-        columns = np.multiply.outer(units, self.scale).ravel()
+        piece = self._piece((curve.x[1:] + curve.x[:-1]) / 2)
+        one, rate, speed = np.ones(len(piece)), 1 / self.rate[piece], 1 / self.speed[piece]
+        units = np.stack([rate, speed**2, one, one, speed], axis=1)
+        columns = (units[:, :, None] * self.scale).reshape(len(piece), -1)
         return scipy.interpolate.PPoly(curve.c * columns, curve.x)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from statebook import _validate
 from statebook.control_trajectory import ControlTrajectory
+from statebook.policies import shaped
 from statebook.systems import System, as_system
 from statebook.uncertainty.noise import HeldNoise
 
@@ -210,16 +211,7 @@ def control_of(policy: Any, x: np.ndarray, t: float, m: int, name: str = "policy
     if isinstance(policy, ControlTrajectory):
         policy = policy(t)
     value = _validate.real_array(f"{name}(x, t)", policy(x, t) if callable(policy) else policy)
-    number = x.shape[1]
-    if m == 1 and value.shape in ((), (number,)):
-        value = value[None]
-    if value.shape == (m,):
-        value = value[:, None]
-    if value.shape not in ((m, 1), (m, number)):
-        raise ValueError(
-            f"{name}(x, t) must have shape ({m},) or ({m}, {number}), got {value.shape}"
-        )
-    return np.broadcast_to(value, (m, number))
+    return shaped(f"{name}(x, t)", value[:, 0] if value.shape == (m, 1) else value, m, x.shape[1:])
 
 
 def _noise(noise: Any) -> HeldNoise:

@@ -356,10 +356,7 @@ def _viewed(system: Any, start: np.ndarray, value: Any, asked: bool) -> System:
         # One number a trajectory is a single input.
         single = np.ndim(value) == 0 or (asked and value.shape == start.shape[1:])
         u = np.zeros(1 if single else len(value))
-    try:
-        return as_system(system, x, u)
-    except (TypeError, ValueError) as error:  # in the words of monte_carlo
-        raise type(error)(str(error).replace("u0", "policy")) from error
+    return as_system(system, x, u, names=("x0", "policy"))
 
 
 def _check_noise(noise: HeldNoise, period: float, q: int) -> None:

@@ -151,6 +151,8 @@ def separated(block: Block, tol: float, margins: np.ndarray) -> tuple[np.ndarray
 def _invariant(block: Block, members: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Orthonormal basis of the invariant subspace of some eigenvalues, and T on it."""
     p = len(members)
+    if p == len(block.T):
+        return block.Q, block.T
     V, R = np.linalg.qr(block.modes[0][:, members])
     if np.abs(R.diagonal()).min() > _INDEPENDENT:
         return block.Q @ V, np.triu(R * block.T.diagonal()[members] @ np.linalg.inv(R))
@@ -214,26 +216,36 @@ def _judged(number: int, block: Block, group: Group, discrete: bool) -> Cluster:
 
 def _is_single(N: np.ndarray, radius: float) -> bool:
     """Whether N is nilpotent to within radius: null vector by null vector, by staircase."""
+    largest = np.abs(N).max() + TINY
+    N, radius = N / largest, radius / largest
     size = len(N) ** 0.5 * radius
     # With N - E nilpotent trace(N^2) is trace(E (2 N - E)), and norm_F(E) at most this size.
     if abs(np.sum(N * N.T)) > size * (2 * np.linalg.norm(N) + size):
         return False
     start = np.random.default_rng(0).normal(size=len(N)).astype(complex)
-    for n in range(len(N), 0, -1):
+    while n := len(N):
         lu, pivots, _ = scipy.linalg.lapack.zgetrf(N)
         pivot = lu.diagonal()
         np.fill_diagonal(lu, np.where(np.abs(pivot) > 1e-3 * radius, pivot, 1e-3 * radius))
-        x = start[:n]
-        for adjoint in (2, 0, 2, 0):
+        x, found = start[:n], np.zeros((n, 0))
+        for adjoint in (2, 0, 2):
             x, _ = scipy.linalg.lapack.zgetrs(lu, pivots, x / np.linalg.norm(x), trans=adjoint)
-        x /= np.linalg.norm(x)
-        if np.linalg.norm(N @ x) > radius:
+        # A null vector of N, then those of what N is across the ones before: its chain.
+        while found.shape[1] < n:
+            x, _ = scipy.linalg.lapack.zgetrs(lu, pivots, x / np.linalg.norm(x))
+            for _ in range(2):
+                x = x - found @ (found.conj().T @ x)
+            x /= np.linalg.norm(x)
+            rest = N @ x
+            rest = np.linalg.norm(rest - found @ (found.conj().T @ rest))
+            # A chain's errors add up: a new start costs less than they would.
+            if rest > (0.03 * radius if found.size else radius):
+                break
+            found = np.column_stack([found, x])
+        if not found.size:
             return False
-        # What is left in the space across x, by the reflection that maps x to the first axis.
-        x[0] += np.exp(1j * np.angle(x[0]))
-        x /= np.linalg.norm(x)
-        N = N - 2 * np.outer(x, x.conj() @ N)
-        N = (N - 2 * np.outer(N @ x, x.conj()))[1:, 1:]
+        across = np.linalg.qr(found, mode="complete")[0][:, found.shape[1] :]
+        N = across.conj().T @ N @ across
     return True
 
 

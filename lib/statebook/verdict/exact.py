@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numbers
 from dataclasses import dataclass
+from decimal import Decimal
 from fractions import Fraction
 from itertools import pairwise
 from math import lcm
@@ -59,7 +60,7 @@ def as_rational(value: Any, *, floats: bool = False) -> RationalMatrix | None:
     Parameters
     ----------
     value : array_like, or a SymPy matrix
-        Integers, `fractions.Fraction` and SymPy's rationals are exact.
+        Integers, `fractions.Fraction`, `decimal.Decimal` and SymPy's rationals are exact.
     floats : bool
         Take floats at their word: 0.1 is 3602879701896397 / 2^55.
 
@@ -100,6 +101,8 @@ def _entry(number: Any, floats: bool) -> tuple[Fraction, Fraction] | None:
     """Real and imaginary part of an entry, or None if it is not exact."""
     if isinstance(number, numbers.Rational):
         return Fraction(int(number.numerator), int(number.denominator)), Fraction(0)
+    if isinstance(number, Decimal) and number.is_finite():
+        return Fraction(number), Fraction(0)
     if isinstance(number, numbers.Complex):
         number = complex(number)
         finite = floats and np.isfinite(number)
@@ -112,7 +115,7 @@ def _entry(number: Any, floats: bool) -> tuple[Fraction, Fraction] | None:
             f"system_or_A must hold numbers, got the free symbols {names} in the entry {number};"
             " give them values first: matrix.subs({...})"
         )
-    parts = number.as_real_imag()
+    parts = [part if part.is_Float else part.simplify() for part in number.as_real_imag()]
     if not all(part.is_Rational or part.is_Float for part in parts):
         raise ValueError(
             f"system_or_A must hold rational numbers, got the entry {number}, which is none;"

@@ -48,35 +48,40 @@ def boundary_distance(A: np.ndarray, discrete: bool, enough: float = 0.0) -> flo
     A = A / unit
     eigenvalues = np.linalg.eigvals(A)
     nearest = eigenvalues[np.argsort(margin(eigenvalues, discrete))[:_STARTS]]
-    best, where = _lowest(A, np.unique(project(nearest, discrete)))
+    starts = dict.fromkeys(project(nearest, discrete).tolist())
+    best = np.inf
+    for start in starts:
+        best = min(best, _lowest(A, np.array([start])))
+        if unit * best <= enough:
+            break
     while unit * best > enough:
-        # Invariant: best = sigma_min at the boundary point `where`; the level is just below it.
+        # Invariant: best is sigma_min at a point of the boundary; the level is just below it.
         crossings = _level_set(A, best * (1 - _BELOW), discrete)
         if len(crossings) == 0:
             break  # certainly the minimum
-        value, point = _lowest(A, _midpoints(crossings, discrete))
+        value = _lowest(A, _midpoints(crossings, discrete))
         if value >= best * (1 - _BELOW):
             break
-        best, where = value, point
-    return unit * (best if unit * best <= enough else min(best, _polish(A, where, best, discrete)))
+        best = value
+    return unit * best
 
 
 def is_near_boundary(A: np.ndarray, discrete: bool, radius: float) -> bool:
-    """Whether a stable matrix has an unstable one within radius; None beyond is a proof.
+    """Whether a perturbation within radius puts an eigenvalue on the boundary; if not, by proof.
 
-    The proof is Lyapunov's: where P solves ``T^H P + P T = -R`` (``T^H P T - P = -R`` for maps)
-    and T is stable, T + E is too if R is larger than what norm(E) <= radius adds. It costs a
-    triangular equation, and however P was computed, R is what counts. Level sets have the last
-    word where it falls short.
+    Lyapunov's: where ``T^H P + P T = -R`` (``T^H P T - P = -R`` for maps) with R > 0 no
+    eigenvalue of T is there, nor of T + E if R is larger than what norm(E) <= radius adds. It
+    costs a triangular equation, and however P was computed, R is what counts. Level sets have
+    the last word where it falls short.
     """
     T = scipy.linalg.schur(A, output="complex")[0] if np.tril(A, -1).any() else A.astype(complex)
     with np.errstate(all="ignore"):
-        proved = np.all(margin(T.diagonal(), discrete) > 0) and _keeps_stable(T, discrete, radius)
+        proved = np.all(margin(T.diagonal(), discrete)) and _stays_off(T, discrete, radius)
     return not proved and boundary_distance(T, discrete, radius) <= radius
 
 
-def _keeps_stable(T: np.ndarray, discrete: bool, radius: float) -> bool:
-    """Whether Lyapunov's P for R = I proves that a stable triangular T stays so."""
+def _stays_off(T: np.ndarray, discrete: bool, radius: float) -> bool:
+    """Whether P for R = I proves that T, triangular, keeps off the boundary."""
     n, one = len(T), np.eye(len(T))
     F, C = T, one
     if discrete:
@@ -86,17 +91,16 @@ def _keeps_stable(T: np.ndarray, discrete: bool, radius: float) -> bool:
     X, scale, _ = scipy.linalg.lapack.ztrsyl(F, F, -C, trana="C")
     P = (X + X.conj().T) / (2 * scale)
     R = P - T.conj().T @ P @ T if discrete else -T.conj().T @ P - P @ T
-    size = float(np.linalg.norm(T))
+    # A bound of the 2-norm of T with its entries made positive, which bounds rounding in R.
+    size = float(np.linalg.norm(T, 1) * np.linalg.norm(T, np.inf)) ** 0.5
     growth = 2 * size + radius if discrete else 2.0
-    blur = growth * radius + 8 * n * EPS * (1 + size**2 if discrete else size)
+    blur = growth * radius + 4 * n * EPS * (1 + size**2 if discrete else size)
     return bool(np.linalg.norm(R - one) + blur * np.linalg.norm(P) < 1)
 
 
-def _lowest(A: np.ndarray, points: np.ndarray) -> tuple[float, complex]:
+def _lowest(A: np.ndarray, points: np.ndarray) -> float:
     shifted = A - points[:, None, None] * np.eye(len(A))
-    values = np.linalg.svd(shifted, compute_uv=False)[:, -1]
-    k = int(np.argmin(values))
-    return float(values[k]), complex(points[k])
+    return float(np.linalg.svd(shifted, compute_uv=False)[:, -1].min())
 
 
 def _level_set(A: np.ndarray, level: float, discrete: bool) -> np.ndarray:
@@ -119,18 +123,3 @@ def _midpoints(positions: np.ndarray, discrete: bool) -> np.ndarray:
     if len(positions) == 1:
         return 1j * positions
     return 1j * (positions[1:] + positions[:-1]) / 2
-
-
-def _polish(A: np.ndarray, where: complex, best: float, discrete: bool) -> float:
-    """Descend to the bottom of the valley that the level sets have found."""
-    start = np.angle(where) if discrete else where.imag
-
-    def value(position: float) -> float:
-        point = np.exp(1j * position) if discrete else 1j * position
-        return _lowest(A, np.array([point]))[0]
-
-    width = max(best, np.sqrt(_BELOW))
-    found = scipy.optimize.minimize_scalar(
-        value, bounds=(start - width, start + width), method="bounded", options={"xatol": 1e-9}
-    )
-    return float(found.fun)

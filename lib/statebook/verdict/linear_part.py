@@ -55,6 +55,14 @@ class LinearPart:
     source: Any = None
 
 
+def as_matrix(value: Any) -> Any:
+    """Return sparse matrices, data frames and matrices of other libraries as arrays or lists."""
+    if isinstance(value, np.ndarray):
+        return value
+    ways = (getattr(value, name, None) for name in ("toarray", "to_numpy", "tolist", "__array__"))
+    return next((way() for way in ways if way), value)
+
+
 def linear_part(
     system_or_A: Any,
     x0: Any = None,
@@ -79,13 +87,14 @@ def linear_part(
     NotAnEquilibriumError, TypeError, ValueError
         As `stability` does.
     """
-    if hasattr(system_or_A, "tolist") or isinstance(system_or_A, list | tuple | str | Number):
+    matrix = as_matrix(system_or_A)
+    if isinstance(matrix, np.ndarray | list | tuple | str | Number):
         if x0 is not None or u0 is not None:
             raise ValueError("x0 and u0 belong to a nonlinear system; a matrix takes neither")
         if t is not None:
             raise ValueError("t belongs to a system that depends on the time; a matrix takes none")
-        rational = as_rational(system_or_A)
-        A = _as_floats(system_or_A) if rational is None else rational.floats()
+        rational = as_rational(matrix)
+        A = rational.floats() if rational else _validate.square("system_or_A", matrix)
         states = tuple(f"x[{i}]" for i in range(len(A)))
         return LinearPart(A, None, rational, EPS, dt, states, True)
     import control
@@ -132,13 +141,3 @@ def continuous_part(
             f"system_or_A must be in continuous time, got a system with dt = {part.dt}"
         )
     return part
-
-
-def _as_floats(matrix: Any) -> np.ndarray:
-    try:
-        return _validate.square("system_or_A", matrix)
-    except TypeError:  # fractions or SymPy's numbers, and floats among them
-        rational = as_rational(matrix, floats=True)
-        if rational is None:
-            raise
-        return rational.floats()

@@ -134,7 +134,7 @@ def _room(loop: Any, way: int) -> float:
     A, B, C, D = (np.asarray(M) for M in (loop.A, loop.B, loop.C, loop.D))
     last = float(_LARGEST)
     if way == 1 and -D[0, 0] * _LARGEST > 1:  # there the loop has no solution
-        last = min(last, (1 - 1e-9) / -D[0, 0])
+        last = min(last, (1 - 1e-9) / -float(D[0, 0]))
 
     def closed(factor: float) -> np.ndarray:
         gain = factor**way

@@ -12,7 +12,7 @@ import scipy
 from statebook import _validate
 from statebook.verdict.blocks import EPS
 from statebook.verdict.judgement import ASYMPTOTICALLY_STABLE, judge
-from statebook.verdict.linear_part import continuous_part
+from statebook.verdict.linear_part import as_matrix, continuous_part
 
 # Degree of the interpolants, and how many of their last coefficients tell that they suffice.
 _DEGREE = 32
@@ -104,10 +104,10 @@ def critical_sample_time(
         raise ValueError("B is required beside a matrix: it says how u acts on x'")
     if part.B is not None and B is not None:
         raise ValueError("B belongs to a matrix; a system has its own: write K=...")
-    B = _validate.array("B", B, (len(A), None)) if part.B is None else part.B
+    B = _validate.array("B", as_matrix(B), (len(A), None)) if part.B is None else part.B
     if K is None:
         raise ValueError("K is required: the gain of u = -K x")
-    K = _validate.array("K", K, (B.shape[1], len(A)))
+    K = _validate.array("K", as_matrix(K), (B.shape[1], len(A)))
     closed = A - B @ K
     if judge(closed, discrete=False).verdict != ASYMPTOTICALLY_STABLE:
         return 0.0
@@ -145,7 +145,7 @@ def _first_crossing(A: np.ndarray, B: np.ndarray, K: np.ndarray, rate: float) ->
         length = min(length, _DEGREE / 2 / max(float(np.abs(alive.imag).max()), 1e-300))
         with np.errstate(all="ignore"):
             E = scipy.linalg.expm(generator * start) @ steps(length)
-            digits = 8 * EPS * (1 + np.abs(E).max() * (1 + np.abs(K).max() * m))
+            digits = 8 * EPS * (1 + np.abs(E).max() * (1 + np.abs(K).max(initial=0.0) * m))
             values, noise = _product(loop(E), rate * (start + length * nodes), is_real, digits)
         # Chebyshev coefficients; the points are ascending.
         coefficients = scipy.fft.dct(values[::-1], type=2) / len(values)

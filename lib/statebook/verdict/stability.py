@@ -41,7 +41,8 @@ def stability(
     Parameters
     ----------
     system_or_A : array of shape (n, n), control.StateSpace, or any system of `as_system`
-        A matrix (of floats, integers, fractions or SymPy's rationals), a linear system, or a
+        A matrix (of floats, integers, fractions, decimals or SymPy's rationals; an array, lists,
+        a sparse matrix, a SymPy matrix or a data frame), a linear system, or a
         nonlinear system with its equilibrium x0.
     x0, u0 : array, shape (n,) and (m,), optional
         Equilibrium of a nonlinear system; u0 = None means zeros.

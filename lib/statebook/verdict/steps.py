@@ -184,7 +184,6 @@ def _of_partitioned(A: np.ndarray, rate: float) -> float:
     inverse = np.concatenate([scipy.linalg.eigvals(-twice, A), np.linalg.eigvals(companion)])
     inverse = inverse[np.isfinite(inverse) & (np.abs(inverse.imag) <= _SAME_ROOT * np.abs(inverse))]
     crossings = np.unique(1 / inverse.real[inverse.real > 1 / _SCAN_RANGE[1]])
-    crossings = np.array([_refined(h, A, twice) for h in crossings])
     between = (crossings[1:] + crossings[:-1]) / 2
     grid = np.unique(np.concatenate([np.geomspace(*_SCAN_RANGE, _SCAN_POINTS), between]))
     radius = np.abs(np.linalg.eigvals(one_step(grid))).max(axis=1) - 1
@@ -208,17 +207,3 @@ def _of_partitioned(A: np.ndarray, rate: float) -> float:
             return 0.0
     below = crossings[crossings < limit]
     return min([limit, *(float(h) for h in below if _grows(one_step(np.array([h]))[0]))]) / rate
-
-
-def _refined(h: float, A: np.ndarray, twice: np.ndarray) -> float:
-    """Newton's method on det(M(h) + I); where -1 is no eigenvalue its step is too large to take."""
-    for _ in range(2):
-        M = 2 * np.eye(len(A)) + h * A + h**2 * twice
-        try:
-            slope = float(np.trace(np.linalg.solve(M, A + 2 * h * twice)).real)
-        except np.linalg.LinAlgError:
-            break
-        if not abs(slope) * _SAME_ROOT * h >= 1:
-            break
-        h -= 1 / slope
-    return h

@@ -86,6 +86,7 @@ def _run(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> in
         from nbregress.batch import find_notebooks, run_all
         from nbregress.store import keep_agreeing, write
         from nbregress.stored import diff
+        from nbregress.textdiff import cut
     except ModuleNotFoundError as error:
         missing = (error.name or "nbregress").partition(".")[0]
         if missing == "nbregress":
@@ -120,7 +121,7 @@ def _run(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> in
         changed, kept = ["all"], list[str]()
         if not options.all:
             changed, kept = keep_agreeing(run.stored, nb, run.settings)
-        names = ", ".join(changed)
+        names, same = (cut(", ".join(cells)) for cells in (changed, kept))
         if options.check:
             stale.extend([path] if changed else [])
             return f"differs in {names}" if changed else "agrees"
@@ -129,8 +130,8 @@ def _run(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> in
             outcome += f", new outputs: {names}"
         if kept:
             outcome += (
-                f" (kept {', '.join(kept)}: within the tolerance, or another style of the same "
-                "figure; --all replaces them)"
+                f" (kept {same}: within the tolerance, or another style of the same figure; --all "
+                "replaces them)"
             )
         return outcome
 

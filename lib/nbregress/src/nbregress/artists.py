@@ -84,11 +84,8 @@ def artists_digest(owner: Any, view: View | None = None) -> list[dict[str, Any]]
         found.append(
             {"kind": "table", "places": [f"{r},{c}" for (r, c), _ in cells], "texts": texts}
         )
-    for artist in seen("artists"):
-        item = _other(artist)
-        if item is not None:
-            found.append(item)
-    return found
+    # A legend is no artist of the data.
+    return found + [_other(a) for a in seen("artists") if not hasattr(a, "legend_handles")]
 
 
 def _lines(lines: list[Any], view: View) -> list[dict[str, Any]]:
@@ -143,10 +140,9 @@ def _collection(artist: Any, view: View) -> dict[str, Any]:
     item: dict[str, Any] = {"kind": "collection", **label_of(artist)}
     data: dict[str, str] = {}
     vectors: Any = artist
-    solid = [getattr(artist, name, None) for name in _SOLID]
-    if any(part is not None for part in solid):
+    if solid := [name for name in _SOLID if getattr(artist, name, None) is not None]:
         item["kind"] = "solid"
-        data = _corners(next(part for part in solid if part is not None))
+        data = _corners(getattr(artist, solid[0]))
     elif isinstance(artist, (quiver.Quiver, quiver.Barbs)):
         item["kind"] = "arrows"
         places = artist.get_offsets()
@@ -184,11 +180,11 @@ def _collection(artist: Any, view: View) -> dict[str, Any]:
             offsets = view.pair(artist.get_offsets())
             data["offset x"], data["offset y"] = offsets["x"], offsets["y"]
     if isinstance(artist, contour.ContourSet):
-        item |= _norm(artist)
+        item |= _norm(artist, data)
     elif artist.get_array() is not None:
         data["values"] = summarize(artist.get_array())
         data["colour limits"] = summarize([np.nan if c is None else c for c in artist.get_clim()])
-        item |= _norm(artist)
+        item |= _norm(artist, data)
     else:
         line = item["kind"] == "segments"
         data |= classes(artist.get_edgecolor() if line else artist.get_facecolor())
@@ -196,8 +192,14 @@ def _collection(artist: Any, view: View) -> dict[str, Any]:
     return item
 
 
-def _norm(artist: Any) -> dict[str, str]:
+def _norm(artist: Any, data: dict[str, str]) -> dict[str, str]:
+    """Name of an unusual norm; what it makes of its range goes to the data."""
+    import numpy as np
+
     name = type(artist.norm).__name__
+    low, high = artist.get_clim()
+    if name not in ("Normalize", "NoNorm", "LogNorm") and low is not None:
+        data["shades"] = summarize(artist.norm(np.linspace(low, high, 65)))
     return {} if name in ("Normalize", "NoNorm") else {"norm": name}
 
 
@@ -218,14 +220,7 @@ def _corners(parts: Any) -> dict[str, str]:
     points = points[first]
     q = points - points.mean(axis=0)
     skew, mixed = np.cbrt((q**3).mean(axis=0)), (q * np.roll(q, 1, axis=1)).mean(axis=0) / span
-    parts = [
-        points.min(axis=0),
-        points.max(axis=0),
-        points.mean(axis=0),
-        q.std(axis=0),
-        skew,
-        mixed,
-    ]
+    parts = [points.min(0), points.max(0), points.mean(0), q.std(0), skew, mixed]
     return {
         name: summarize([part[k] for part in parts], beside=1e3 * span)
         for k, name in enumerate("xyz")
@@ -265,7 +260,7 @@ def _image(artist: Any) -> dict[str, Any]:
     item["data"] = {"values": summarize(values), "colour limits": summarize(artist.get_clim())}
     if hasattr(artist, "get_extent"):
         item["data"]["extent"] = summarize(artist.get_extent())
-    return {**item, **_norm(artist)}
+    return {**item, **_norm(artist, item["data"])}
 
 
 def _text(artist: Any, view: View) -> dict[str, Any]:
@@ -289,12 +284,10 @@ def _text(artist: Any, view: View) -> dict[str, Any]:
     return {**item, "data": data}
 
 
-def _other(artist: Any) -> dict[str, Any] | None:
+def _other(artist: Any) -> dict[str, Any]:
     """Boxes with text, and the key of an arrow field."""
     from matplotlib.quiver import QuiverKey
 
-    if hasattr(artist, "legend_handles"):
-        return None  # a legend is no artist of the data
     if isinstance(artist, QuiverKey):
         return {"kind": "key", "text": artist.text.get_text(), "data": {"u": summarize([artist.U])}}
     texts = [t.get_text() for t in artist.findobj(lambda a: hasattr(a, "get_text")) if t.get_text()]

@@ -77,7 +77,7 @@ def axes_digest(ax: Any) -> dict[str, Any]:
 
 
 def legend_digest(legend: Any) -> list[str]:
-    """What a legend says, and with which kind of sign.
+    """What a legend says, and of which kind of sign, or which line if that has another label.
 
     Parameters
     ----------
@@ -88,15 +88,28 @@ def legend_digest(legend: Any) -> list[str]:
     entries : list of str
     """
     title = legend.get_title().get_text()
-    handles = [_handle(handle) for handle in legend.legend_handles]
     texts = [text.get_text() for text in legend.get_texts()]
-    pairs = [text + kind for text, kind in zip(texts, handles, strict=False)]
+    lines = list(getattr(legend.axes, "lines", ()))
+    pairs = [
+        text + _handle(handle, text, lines)
+        for text, handle in zip(texts, legend.legend_handles, strict=False)
+    ]
     return ([title] if title else []) + pairs
 
 
-def _handle(handle: Any) -> str:
-    area = hasattr(handle, "get_hatch") and not hasattr(handle, "get_offsets")
-    return " (area)" if area else ""
+def _handle(handle: Any, text: str, lines: list[Any]) -> str:
+    if hasattr(handle, "get_hatch") and not hasattr(handle, "get_offsets"):
+        return " (area)"
+    if not hasattr(handle, "get_xdata") or text in [line.get_label() for line in lines]:
+        return ""
+    looks = [_look(line) for line in (handle, *lines)]
+    return f" (line {looks.index(looks[0], 1)})" if looks[0] in looks[1:] else ""
+
+
+def _look(line: Any) -> tuple[Any, ...]:
+    from matplotlib.colors import to_hex
+
+    return to_hex(line.get_color()), line.get_linestyle(), line.get_marker()
 
 
 def _follows_data(ax: Any, name: str) -> bool:
@@ -116,6 +129,7 @@ def _window(axis: Any) -> float:
 
 
 def _axis(axis: Any, chosen: bool) -> dict[str, Any]:
+    import numpy as np
     from matplotlib.ticker import FixedLocator, FuncFormatter, IndexLocator, MultipleLocator
 
     scale = axis.get_scale()
@@ -127,6 +141,9 @@ def _axis(axis: Any, chosen: bool) -> dict[str, Any]:
         result["label"] = axis.get_label_text()
     if scale != "linear":
         result["scale"] = scale
+    if scale not in ("linear", "log", "logit"):
+        with np.errstate(all="ignore"):
+            result["spacing"] = summarize(axis.get_transform().transform(np.array(_PROBES)))
     if axis.get_inverted():
         result["inverted"] = True
     locator, formatter = axis.get_major_locator(), axis.get_major_formatter()

@@ -96,8 +96,6 @@ class NotebookRun:
                 finally:
                     self.seconds = time.monotonic() - start
                     slot.release()
-        except asyncio.CancelledError:
-            raise
         except NotebookError as problem:
             error = problem
         except Exception as problem:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from nbregress.background import Background, NotebookRun
-from nbregress.session import NotebookError, cell_options
+from nbregress.session import NotebookError, cell_options, other_language
 from nbregress.settings import SettingsError, load_settings
 from nbregress.store import normalize, read
 
@@ -77,26 +77,26 @@ def run_all(
     failed: list[Path] = []
     background = Background(jobs)
     queued: list[tuple[Path, NotebookRun | str]] = []
-    for path in paths:
-        try:
-            settings = load_settings(path, given)
-            stored = read(path)
-            for cell in stored.cells:
-                settings.with_tags(cell)
-            queued.append((path, NotebookRun(stored, path.resolve().parent, settings)))
-        except (NotebookError, SettingsError) as error:
-            queued.append((path, str(error)))
     try:
-        for _, run in queued:
-            if isinstance(run, NotebookRun):
-                background.submit(run)
+        for path in paths:
+            try:
+                settings = load_settings(path, given)
+                stored = read(path)
+                for cell in stored.cells:
+                    settings.with_tags(cell)
+                started = NotebookRun(stored, path.resolve().parent, settings)
+                queued.append((path, started))
+                background.submit(started)
+            except (NotebookError, SettingsError) as error:
+                queued.append((path, str(error)))
         for number, (path, run) in enumerate(queued, start=1):
             try:
                 if isinstance(run, str):
                     raise NotebookError(run)
                 _check(run)
                 normalize(run.executed)
-                outcome = f"{run.seconds:.1f} s: {finish(path, run)}"
+                notes = filter(None, (other_language(run.stored), finish(path, run)))
+                outcome = f"{run.seconds:.1f} s: {'; '.join(notes)}"
             except Exception as error:  # this notebook's alone in any case
                 failed.append(path)
                 kind = "" if isinstance(error, NotebookError) else f"{type(error).__name__}: "

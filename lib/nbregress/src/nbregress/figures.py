@@ -78,20 +78,14 @@ def digest(figure: Any) -> dict[str, Any]:
 
 
 def _parts(figure: Any) -> dict[str, Any]:
-    result: dict[str, Any] = {}
-    title = figure.get_suptitle()
-    if title:
-        result["title"] = title
-    for name in ("supxlabel", "supylabel"):
-        text = getattr(figure, f"get_{name}")()
-        if text:
-            result[name] = text
+    own = [figure.get_suptitle(), figure.get_supxlabel(), figure.get_supylabel()]
+    names = ("title", "supxlabel", "supylabel")
+    result: dict[str, Any] = {n: text for n, text in zip(names, own, strict=True) if text}
     if figure.legends:
         result["legends"] = [legend_digest(legend) for legend in figure.legends]
     artists = artists_digest(figure)
     # Where a figure's own texts stand is a matter of its layout on paper.
     artists = [{"kind": "text", "text": a["text"]} if a["kind"] == "text" else a for a in artists]
-    own = [title, result.get("supxlabel"), result.get("supylabel")]
     artists = [a for a in artists if a.get("text") not in own or a["kind"] != "text"]
     if artists:
         result["artists"] = artists

@@ -4,6 +4,7 @@ import json
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -12,7 +13,7 @@ from nbval.plugin import IPyNbCell, IPyNbFile, NbCellError
 from nbregress.background import Background, NotebookRun
 from nbregress.comparison import Comparison
 from nbregress.outputs import outputs_differences
-from nbregress.session import CellError, NotebookError, cell_options, notebook_language
+from nbregress.session import CellError, NotebookError, cell_options, other_language
 from nbregress.settings import Settings, SettingsError, load_settings
 from nbregress.store import keep_agreeing, normalize, read, write
 from nbregress.textdiff import cut
@@ -38,20 +39,18 @@ class NotebookFile(IPyNbFile):
             self.settings = load_settings(self.path, *_given(self.config))
         except (NotebookError, SettingsError) as error:
             # An error raised here would end the whole run.
-            yield Unreadable.from_parent(self, name="notebook", reason=str(error))
+            broken = Unreadable.from_parent(self, name="notebook")
+            broken.reason = str(error)
+            yield broken
             return
         code = (index for index, cell in enumerate(self.nb.cells) if cell.cell_type == "code")
         for number, index in enumerate(code):
             cell = self.nb.cells[index]
             title = str(cell.metadata.get("name") or "").replace("::", ":")
-            options = {"check": self.compare_outputs, **cell_options(cell)}
-            item = NotebookCell.from_parent(
-                self,
-                name=f"Cell {number}" + (f" {title}" if title else ""),
-                cell_num=number,
-                cell=cell,
-                options=options,
-            )
+            given = {"check": self.compare_outputs, **cell_options(cell)}
+            cell_fields = {"cell_num": number, "cell": cell, "options": given}
+            name = f"Cell {number} {title}".rstrip()
+            item = NotebookCell.from_parent(self, name=name, **cell_fields)
             item.index = index
             item.extra_keyword_matches.update(map(str, cell.metadata.get("tags", [])))
             yield item
@@ -145,27 +144,12 @@ def _coverage(config: pytest.Config, path: Path) -> tuple[list[str], list[str]]:
         return [], []
     from nbval.cover import setup_coverage, teardown_coverage
 
-    prepare, finish = _Recorder(), _Recorder()
-    setup_coverage(config, prepare, path)
-    teardown_coverage(config, finish)
-    return prepare.code, finish.code
-
-
-class _Recorder:
-    """Takes down what nbval would execute in a kernel."""
-
-    language = "python"
-
-    def __init__(self) -> None:
-        self.code: list[str] = []
-        self.kc = self
-
-    def execute(self, code: str, **_: Any) -> str:
-        self.code.append(code)
-        return ""
-
-    def await_idle(self, *_: Any) -> None:
-        pass
+    code: list[str] = []  # what nbval would execute in a kernel
+    client = SimpleNamespace(execute=lambda text, **_: code.append(text))
+    kernel = SimpleNamespace(language="python", kc=client, await_idle=lambda *_: None)
+    setup_coverage(config, kernel, path)
+    teardown_coverage(config, kernel)
+    return code[:1], code[1:]
 
 
 class Unreadable(pytest.Item):
@@ -173,13 +157,13 @@ class Unreadable(pytest.Item):
 
     index = -1
     failed = True
-
-    def __init__(self, *, reason: str, **kwargs: Any) -> None:
-        super().__init__(**kwargs)
-        self.reason = reason
+    reason = ""
 
     def runtest(self) -> None:
         """Fail with the reason."""
+        told = {"messages": [f"the notebook {self.reason}"], "outputs": [[], []]}
+        place = {"notebook": str(self.path), "cell": self.name, "source": ""}
+        self.stash[DETAILS] = {**told, **place}
         pytest.fail(f"{self.path} is not a readable notebook: it {self.reason}", pytrace=False)
 
 
@@ -205,11 +189,9 @@ class NotebookCell(IPyNbCell):
             self.raise_cell_error(str(error))
         try:
             run = self.parent.run.cell(self.index)
-        except CellError as error:
-            if error.index >= self.index:
-                self.parent.problem = str(error)
-            self._stopped(str(error))
         except NotebookError as error:
+            if isinstance(error, CellError) and error.index >= self.index:
+                self.parent.problem = str(error)
             self._stopped(str(error))
         new = self.parent.run.executed.cells[self.index].outputs
         self._compare(run, new, settings)
@@ -228,8 +210,8 @@ class NotebookCell(IPyNbCell):
             return
         comparison = Comparison(settings)
         self.stash[DETAILS] = {"noise": comparison.noise}
-        if (language := notebook_language(self.parent.nb)) != "python":
-            comparison.noise.add(f"data behind texts and pixels: none in language {language}")
+        if note := other_language(self.parent.nb):
+            comparison.noise.add(note)
         expected = self.options.get("check_exception")
         if run.error is not None and not expected:
             self.raise_cell_error("the cell failed", cut(run.error, 2000) + _printed(new))
@@ -243,7 +225,7 @@ class NotebookCell(IPyNbCell):
             return
         messages = outputs_differences(self.cell.outputs, new, comparison)
         if messages:
-            self.stash[DETAILS] |= self._details(messages, new)
+            self._tell(messages, new)
             lines = [line for message in messages for line in message.splitlines()]
             more = len(lines) - _MOST_LINES
             lines = lines[:_MOST_LINES] + ([f"... and {more} more lines"] if more > 0 else [])
@@ -251,14 +233,16 @@ class NotebookCell(IPyNbCell):
                 "Cell outputs differ", "\n".join([*lines, self.parent.how_to_accept])
             )
 
-    def _details(self, messages: list[str], new: Any) -> dict[str, Any]:
-        return {
-            "notebook": self.parent.shown_path,
-            "cell": self.name,
-            "source": self.cell.source,
-            "messages": messages,
-            "outputs": json.loads(json.dumps([self.cell.outputs, new])),
-        }
+    def raise_cell_error(self, message: str, *details: str) -> None:
+        """Fail, and let the report say so, also where there was nothing to compare."""
+        if "messages" not in self.stash.setdefault(DETAILS, {}):
+            self._tell([message, *details], [])
+        super().raise_cell_error(message, *details)
+
+    def _tell(self, messages: list[str], new: Any) -> None:
+        outputs = json.loads(json.dumps([self.cell.outputs, new]))
+        place = {"notebook": self.parent.shown_path, "cell": self.name, "source": self.cell.source}
+        self.stash[DETAILS] |= {**place, "messages": messages, "outputs": outputs}
 
     def repr_failure(self, excinfo: Any, style: Any = None) -> str:
         """The report of a failure: where, what, how to accept it."""

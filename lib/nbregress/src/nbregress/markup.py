@@ -10,7 +10,7 @@ from nbregress.pictures import pictures_difference
 from nbregress.textdiff import cut
 from nbregress.trees import json_differences
 
-_PICTURE = re.compile(r"data:image/[\w+.-]+;base64,([\w+/=\\\s]+)")
+_PICTURE = re.compile(r"data:(?:image/[\w+.-]+|audio/(?:x-)?wav);base64,([\w+/=\\\s]+)")
 _FILM = re.compile(r"data:(?:video|audio|font|application)/[\w+.;=-]+;base64,[\w+/=\\\s]+")
 _ID = re.compile(r"""\b(?:id|data-root-id|for|name)=\\?["']([^"'\\]+)\\?["']""")
 _WORD = re.compile(r"[A-Za-z_][\w-]*|[0-9a-f]{8}-[\w-]{27}")

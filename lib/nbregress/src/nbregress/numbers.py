@@ -13,9 +13,8 @@ _NUMBER = re.compile(
     # Kept as text, digits and all: versions, section numbers, requirements, 1.2.3, 12:30:01.5,
     # and the hash of a commit, which may look like 9e12345.
     (?P<exact>
-        \b(?i:version|release|python|numpy|scipy|matplotlib)[ =:]*\d+(?:\.\d+)+
-      | \bv\d+(?:\.\d+)+
-      | \b(?i:section|chapter|figure|fig|table|equation|eq)[.]?\ \d+(?:\.\d+)+
+        \b(?:v|(?i:version|release|python|numpy|scipy|matplotlib)[ =:]*
+            |(?i:section|chapter|figure|fig|table|equation|eq)[.]?\ )\d+(?:\.\d+)+
       | \b[A-Za-z][\w.-]{0,60}==\d[\w.]*
       | (?<![\w.])\d+(?:\.\d+){2,}\w*
       | (?<![\w.])\d+(?::\d+)+(?:\.\d+)?
@@ -28,16 +27,13 @@ _NUMBER = re.compile(
   | (?P<number>
         (?:[-+]\ ?|(?<![\w.]))
         (?:
-            (?:10\s?(?:\^\s?\{?(?P<power>[-+]?\d+)\}?
-                |<sup>(?P<hpower>[-+]?\d+)</sup>
-                |(?P<upower>[⁻⁺]?[⁰¹²³⁴⁵⁶⁷⁸⁹]+)))
-          | (?P<mantissa>\d+\.\d*|\.\d+|\d+)
-            (?:[eE](?P<e>[-+]?\d{1,3}(?!\d))
-              |\s?(?:\\cdot|\\times|&times;|&middot;|\u00d7|\u00b7|\*)\s?10\s?
-                (?:\^\s?\{?(?P<lexp>[-+]?\d+)\}?
-                  |<sup>(?P<hexp>[-+]?\d+)</sup>
-                  |(?P<uexp>[⁻⁺]?[⁰¹²³⁴⁵⁶⁷⁸⁹]+)))?
-            (?![\d_]|[eE][-+]?\d)
+            (?:(?P<mantissa>\d+(?:\.\d*)?|\.\d+)\s?
+                (?:\\cdot|\\times|&times;|&middot;|\u00d7|\u00b7|\*)\s?)?10\s?
+                (?:\^\s?\{?(?P<power>[-+]?\d+)\}?
+                  |<sup>(?P<hpower>[-+]?\d+)</sup>
+                  |(?P<upower>[⁻⁺]?[⁰¹²³⁴⁵⁶⁷⁸⁹]+))
+          | (?P<plain>\d+(?:\.\d*)?|\.\d+)
+            (?:[eE](?P<e>[-+]?\d{1,3}(?!\d)))?(?![\d_]|[eE][-+]?\d)
           | \b(?:inf|nan)(?=j?\b)
         )
     )
@@ -104,12 +100,11 @@ def split_numbers(text: str) -> tuple[list[str], list[Number]]:
 def _number(match: re.Match[str], line: int) -> Number | None:
     text = match["number"].replace(" ", "")
     sign = -1.0 if text.startswith("-") else 1.0
-    mantissa = match["mantissa"]
-    power = match["power"] or match["hpower"] or match["upower"]
-    if mantissa is None and power is None:
+    mantissa = match["mantissa"] or match["plain"]
+    exponent = match["power"] or match["hpower"] or match["upower"] or match["e"]
+    if mantissa is None and exponent is None:
         return Number(text, line, sign * float(text.lstrip("+-")), False)
     mantissa = mantissa or "1"
-    exponent = power or match["e"] or match["lexp"] or match["hexp"] or match["uexp"]
     shift = int(exponent.translate(_SUPERSCRIPTS)) if exponent else 0
     integer = exponent is None and "." not in mantissa
     value = float(f"{mantissa}e{shift}") if not integer or len(mantissa) < 300 else math.nan

@@ -2,7 +2,6 @@
 
 import json
 import re
-from collections.abc import Callable
 from typing import Any
 
 from nbregress.comparison import Comparison
@@ -13,6 +12,11 @@ from nbregress.pictures import pictures_difference
 from nbregress.textdiff import cut
 from nbregress.trees import figures_differences, json_differences
 
+_BY_TYPE = {
+    "text/html": html_differences,
+    "image/svg+xml": svg_differences,
+    "application/javascript": script_differences,
+}
 _RICH = ("display_data", "execute_result")
 _JSON = re.compile(r"application/(?:.*\+json|json|geo\+json)$")
 # Data that a chart is drawn from; beside them its HTML and its name are not compared.
@@ -96,7 +100,8 @@ def _bundle(
         if mime in new and mime not in old:
             return [f"{name}: {what} data came, but none are stored; refresh the notebook"]
     left_out = {WIDGET_VIEW, DATA_TYPE} - (both & {DATA_TYPE})
-    if both & set(DIGESTS) or any(map(_CHARTS.match, both)):
+    shown = [b.get(DATA_TYPE, {}).get("and") == "text" for b in (old, new)]
+    if (both & set(DIGESTS) and not all(shown)) or any(map(_CHARTS.match, both)):
         left_out |= {mime for mime in old.keys() | new.keys() if _SHOWN.match(mime)}
     # Of a figure, the text is its size on paper; what else carries frames may say more.
     if FIGURE_TYPE in both and not _as_text(new.get("text/plain", "<Figure")).startswith("<Figure"):
@@ -121,21 +126,10 @@ def _bundle(
         elif _JSON.match(mime):
             messages += json_differences(label, _as_json(a), _as_json(b), comparison)
         else:
-            messages += _by_type(mime)(label, _as_text(a), _as_text(b), comparison)
+            picture = mime.startswith("image/") or mime == "application/pdf"
+            compare = _BY_TYPE.get(mime, _picture if picture else _text)
+            messages += compare(label, _as_text(a), _as_text(b), comparison)
     return messages
-
-
-_Difference = Callable[[str, str, str, Comparison], list[str]]
-
-
-def _by_type(mime: str) -> _Difference:
-    if mime == "text/html":
-        return html_differences
-    if mime == "image/svg+xml":
-        return svg_differences
-    if mime.endswith("javascript"):
-        return script_differences
-    return _picture if mime.startswith("image/") or mime == "application/pdf" else _text
 
 
 def _picture(name: str, old: str, new: str, comparison: Comparison) -> list[str]:

@@ -107,4 +107,8 @@ def _parameters(patch: Any) -> tuple[str, Any]:
         if ends is not None:
             return "arrows", np.ravel(ends)
         return "arrow along a path", getattr(patch, "_path_original").vertices  # noqa: B009
+    corners = np.unique(getattr(patch, "xy", np.empty((0, 2))), axis=0)
+    low, high = (np.unique(corners[:, k]).tolist() for k in (0, 1))
+    if len(corners) == 4 and len(low) == len(high) == 2:  # axhspan's, before Matplotlib 3.9
+        return "rectangles", [low[0], high[0], low[1] - low[0], high[1] - high[0], 0.0]
     return "patches", patch.get_patch_transform().transform(patch.get_path().vertices)

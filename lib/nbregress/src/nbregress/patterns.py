@@ -16,6 +16,7 @@ _PATTERNS = {
         r"\b[0-9a-f]{8}-(?:[0-9a-f]{4}-){3}[0-9a-f]{12}\b|(?<![0-9a-f])[0-9a-f]{32}\b",
         "uuid",
     ),
+    "scalar": (r"\bnp\.(?:(?:float64|int64|complex128|str_)\(([^()]*)\)|(True|False)_)", r"\1\2"),
     "process": (
         r"(?<=ipykernel_)\d+(?:[/\\]\d+\.py)?|(?<=<ipython-input-)\d+-[0-9a-f]+"
         r"|\b(?i:pid|process)[ =:#]+\d+\b",
@@ -31,7 +32,8 @@ _PATTERNS = {
         "timing",
     ),
     "progress": (
-        rf"(?P<bar>(?<!\d)\d{{1,3}}%\|)[^|\n]*\|(?P<count> \S+/\S+) \[(?:{_CLOCK}|\?)<[^\]\n]*\]"
+        rf"(?:(?P<bar>(?<!\d)\d{{1,3}}%\|)[^|\n]*\|)?(?P<count>[ \u2007]\S+/\S+)"
+        rf"[ \u2007]\[(?:{_CLOCK}|\?)(?:<|&lt;)[^\]\n]*\]"
         rf"|(?P<open>\b\d[\d.kM]{{0,12}}it) \[{_CLOCK}, [^\]\n]*\]",
         r"\g<bar>\g<count>\g<open>",
     ),
@@ -136,9 +138,7 @@ def _without(matches: list[re.Match[str]], text: str) -> str:
 
 
 def _moment(match: re.Match[str]) -> datetime | None:
-    year = match["y"] or match["y2"] or match["y3"]
-    month = match["m"] or match["m2"] or match["m3"]
-    day = match["d"] or match["d2"] or match["d3"]
+    year, month, day = (match[c] or match[f"{c}2"] or match[f"{c}3"] for c in "ymd")
     try:
         number = int(month) if month.isdigit() else _MONTHS.index(month) + 1
         return datetime(int(year), number, int(day))

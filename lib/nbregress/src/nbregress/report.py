@@ -51,7 +51,7 @@ def write_report(path: Path, cells: Sequence[Mapping[str, Any]], noise: Mapping[
         index.append(f'<li><a href="#c{number}">{texts["notebook"]}, {texts["cell"]}</a></li>')
     met = ", ".join(f"{name} in {count} cells" for name, count in sorted(noise.items()))
     page = _PAGE.format(
-        title=f"{len(different)} of {len(cells)} compared cells differ",
+        title=f"{len(different)} of {len(cells)} cells differ or fail",
         noise=html.escape(f"Noise that was not compared: {met or 'none'}."),
         index="".join(index),
         cells="".join(sections),

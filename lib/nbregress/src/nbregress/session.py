@@ -3,7 +3,6 @@
 import asyncio
 import os
 import re
-import signal
 import subprocess
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -101,6 +100,21 @@ def notebook_language(nb: Any) -> str:
         "language_info", {}
     ).get("name", "python")
     return re.sub(r"^i?python[\d.]*$", "python", str(language).lower())
+
+
+def other_language(nb: Any) -> str:
+    """What is to be said of a notebook in another language than Python; else empty.
+
+    Parameters
+    ----------
+    nb : nbformat.NotebookNode
+
+    Returns
+    -------
+    note : str
+    """
+    language = notebook_language(nb)
+    return f"language {language}: text compared, figures by pixels" if language != "python" else ""
 
 
 class Session(NotebookClient):
@@ -244,12 +258,10 @@ class Session(NotebookClient):
     async def _obituary(self) -> str:
         process: Any = getattr(getattr(self.km, "provisioner", None), "process", None)
         code = process.poll() if process is not None else None
-        if code is not None and code == -getattr(signal, "SIGKILL", 9):
-            return (
-                "the kernel died while executing this cell: the system killed it, as it does "
-                "when memory runs out"
-            )
-        return f"the kernel died while executing this cell (exit code {code})"
+        end = f" (exit code {code})" if code is not None else ""
+        if code == -9:
+            end = ": the system killed it, as it does when memory runs out"
+        return f"the kernel died while executing this cell{end}"
 
 
 async def execute(

@@ -94,11 +94,8 @@ class Settings:
             name, _, text = tag.removeprefix(_TAG).partition("=")
             if name not in ("rtol", "atol"):
                 raise SettingsError(f"tag {tag!r} is not known; write {_TAG}rtol=X or {_TAG}atol=X")
-            try:
-                given[name] = _tolerance(name, text)
-            except SettingsError as error:
-                raise SettingsError(f"tag {tag!r}: {error}") from None
-        return replace(self, **given) if given else self
+            given[name] = _tolerance(f"tag {tag!r}: {name}", text)
+        return replace(self, **given)
 
 
 def load_settings(
@@ -224,12 +221,10 @@ def _from_ini(found: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     values = {name: found.get(f"regression_{name}") for name in ("rtol", "atol")}
     options = found.get("addopts", [])
     words = shlex.split(options) if isinstance(options, str) else [str(word) for word in options]
-    for index, word in enumerate(words):
+    for word, after in zip(words, [*words[1:], ""], strict=False):
         option, equals, value = word.partition("=")
         if option in _ADDOPTS:
-            values[_ADDOPTS[option]] = (
-                value if equals else (words[index + 1 : index + 2] or [""])[0]
-            )
+            values[_ADDOPTS[option]] = value if equals else after
     if values.get("sanitize_with"):
         values["sanitize_with"] = folder / str(values["sanitize_with"])
     return values

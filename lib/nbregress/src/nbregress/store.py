@@ -1,6 +1,7 @@
 """Notebook files: read, write at once, and keep of the old outputs what still agrees."""
 
 import base64
+import itertools
 import json
 import os
 import tempfile
@@ -10,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import nbformat
+from nbformat.v4 import new_output
 
 from nbregress.comparison import Comparison
 from nbregress.mime import WIDGET_VIEW
@@ -162,23 +164,14 @@ def normalize(nb: Any) -> None:
 def _merge_streams(outputs: list[Any]) -> list[Any]:
     """Between two other outputs, all of stdout and then all of stderr."""
     merged: list[Any] = []
-    run: dict[str, Any] = {}
-
-    def end_run() -> None:
-        for name in sorted(run, reverse=True):  # stdout first
-            run[name]["text"] = as_printed(run[name]["text"])
-            merged.append(run[name])
-        run.clear()
-
-    for output in outputs:
-        if output.output_type != "stream":
-            end_run()
-            merged.append(output)
-        elif output.name in run:
-            run[output.name]["text"] += output.text
-        else:
-            run[output.name] = output
-    end_run()
+    for streams, run in itertools.groupby(outputs, lambda o: bool(o.output_type == "stream")):
+        if not streams:
+            merged += run
+            continue
+        texts = {"stdout": "", "stderr": ""}
+        for output in run:
+            texts[output.name] = texts.get(output.name, "") + output.text
+        merged += [new_output("stream", name=n, text=as_printed(t)) for n, t in texts.items() if t]
     return merged
 
 

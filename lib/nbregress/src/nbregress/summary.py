@@ -108,7 +108,10 @@ def summarize(
     ]
     if not every:
         gaps = np.flatnonzero(~finite)
-        parts.append(f"{gaps.size} gaps {gaps.sum()}")
+        ends = [str((np.flatnonzero(v == end) + 1).sum()) for end in (np.inf, -np.inf)]
+        parts.append(
+            f"{gaps.size} gaps {gaps.sum()}" + f" inf {' '.join(ends)}" * (ends != ["0"] * 2)
+        )
     return prefix + " | ".join(parts)
 
 
@@ -168,7 +171,9 @@ def difference(
     if a.size != b.size:
         return f"{b.size} points, stored {a.size}"
     if a.gaps != b.gaps:
-        return f"gaps (NaN) at other points: {b.gaps or 'none'}, stored {a.gaps or 'none'}"
+        return (
+            f"gaps (NaN, infinities) at other points: {b.gaps or 'none'}, stored {a.gaps or 'none'}"
+        )
     finite = [x for x in (*a.extremes, *b.extremes) if math.isfinite(x)]
     largest = max(map(abs, finite), default=0.0)
     spread = min(max(finite, default=0.0) - min(finite, default=0.0), a.window, b.window)
@@ -179,7 +184,8 @@ def difference(
     for i, x, y in zip(places, a.sample, b.sample, strict=True):
         own = allowed
         if each:
-            own = atol + (rtol + _WRITTEN) * max(abs(x), abs(y)) + _RESIDUE * largest
+            size = max(abs(x), abs(y)) if math.isfinite(x + y) else 0.0
+            own = atol + (rtol + _WRITTEN) * size + _RESIDUE * largest
         differences.append((_distance(x, y) - own, f"point {i + 1} of {a.size}", x, y, own))
     located = _locate(a, b, allowed)
     if located is not None and max(d for d, *_ in differences) <= 0.0:

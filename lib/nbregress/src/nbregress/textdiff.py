@@ -50,7 +50,8 @@ def text_difference(
     messages = []
     scales = _scales(old_words, old_numbers, new_numbers, beside)
     for a, b, scale in zip(old_numbers, new_numbers, scales, strict=True):
-        allowed = settings.atol + settings.rtol * max(_modulus(a), _modulus(b)) + RESIDUE * scale
+        size = max(abs(n.value) if n.value == n.value else 0.0 for n in (a, b))
+        allowed = settings.atol + settings.rtol * size + RESIDUE * scale
         if not _same(a, b, allowed):
             messages.append(_number_message(a, b, allowed))
     if not messages:
@@ -83,10 +84,6 @@ def _same(a: Number, b: Number, allowed: float) -> bool:
     if a.value == b.value:
         return a.integer == b.integer
     return abs(a.value - b.value) <= allowed and math.isfinite(allowed)
-
-
-def _modulus(number: Number) -> float:
-    return abs(number.value) if not math.isnan(number.value) else 0.0
 
 
 def _number_message(a: Number, b: Number, allowed: float) -> str:

@@ -19,8 +19,8 @@ _RANDOM = re.compile(
     r"[0-9a-f]{8}-(?:[0-9a-f]{4}-){3}[0-9a-f]{12}|\b(?:[\w-]*-)?[0-9a-f]{32}\b|^p\d{4,}$"
     r"|^altair-viz-\w+$|^(?:view|param|selector|layer|concat)_?\d+$"
 )
-_SUMMARIES = ("limits", "data", "tick places")
-_SHOWN = 5
+_SUMMARIES = ("limits", "data", "tick places", "spacing")
+_SHOWN, _FIRST = 5, ("title", "artists")
 
 
 def figures_differences(stored: Any, new: Any, comparison: Comparison, name: str) -> list[str]:
@@ -80,7 +80,8 @@ def _walk(
         yield f"{name}: {short(new)}, stored {short(old)}"
     elif isinstance(old, dict):
         old, new = _with_named_columns(old), _with_named_columns(new)
-        for key in sorted(old.keys() | new.keys(), key=_order):
+        # What a reader looks for first: the artists before the limits that follow from them.
+        for key in sorted(old.keys() | new.keys(), key=lambda k: (k not in _FIRST, k)):
             if key not in new:
                 yield f"{name}: has no {key}, stored {short(old[key])}"
             elif key not in old:
@@ -114,11 +115,6 @@ def _walk(
             yield f"{name}: {message}"
     elif old != new:
         yield f"{name}: {short(new)}, stored {short(old)}"
-
-
-def _order(key: str) -> tuple[bool, str]:
-    # What a reader looks for first: the artists before the limits that follow from them.
-    return key not in ("title", "artists"), key
 
 
 def _with_named_columns(table: dict[str, Any]) -> dict[str, Any]:

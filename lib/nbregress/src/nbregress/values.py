@@ -5,6 +5,7 @@ dictionaries that hold some of these.
 """
 
 import hashlib
+import re
 from typing import Any
 
 from nbregress.mime import DATA_TYPE
@@ -17,9 +18,9 @@ _MEMBERS, _DEPTH = 50, 3
 KNOWN = [
     tuple(name.rsplit(".", 1))
     for name in "numpy.ndarray pandas.core.frame.DataFrame pandas.core.series.Series "
-    "pandas.DataFrame pandas.Series xarray.core.dataarray.DataArray xarray.core.dataset.Dataset "
-    "control.statesp.StateSpace control.xferfcn.TransferFunction "
-    "control.frdata.FrequencyResponseData".split()
+    "pandas.DataFrame pandas.Series pandas.core.indexes.base.Index pandas.Index "
+    "xarray.core.dataarray.DataArray xarray.core.dataset.Dataset control.statesp.StateSpace "
+    "control.xferfcn.TransferFunction control.frdata.FrequencyResponseData".split()
 ]
 
 
@@ -62,7 +63,8 @@ def _digest(value: Any, depth: int) -> dict[str, Any] | None:
         return result
     names = {(cls.__module__, cls.__name__) for cls in type(value).__mro__}
     if ("numpy", "ndarray") in names:
-        return array_digest(value)
+        own = type(value).__module__.startswith("numpy")  # others have units, or the like
+        return array_digest(value) | ({} if own else {"and": "text"})
     if not names & set(KNOWN):
         return None
     kind = type(value).__name__
@@ -74,14 +76,20 @@ def _digest(value: Any, depth: int) -> dict[str, Any] | None:
             "names": [str(name) for name in frame.columns],
             "index": _column(frame.index),
             "columns": [_column(column) for column in columns],
+            **_titles(index=frame.index.names, columns=frame.columns.names),
         }
+    if hasattr(value, "get_indexer"):  # an index
+        return {"type": kind, "index": _column(value), **_titles(index=value.names)}
     if kind in ("Dataset", "DataArray"):
         parts = value.variables if kind == "Dataset" else value.coords
         digest = {"type": kind, **{str(k): array_digest(v.values) for k, v in parts.items()}}
+        digest |= _titles(name=[getattr(value, "name", None)], attributes=[value.attrs or None])
         if kind == "Dataset":
             return digest
         return digest | {"dims": list(map(str, value.dims)), **array_digest(value.values)}
     result = {"type": kind, "dt": repr(value.dt) if hasattr(value, "dt") else None}
+    signals = [*getattr(value, "input_labels", ()), *getattr(value, "output_labels", ())]
+    result |= _titles(signals=[s for s in signals if not re.fullmatch(r"[uy]\[\d+\]", s)])
     for name in ("A", "B", "C", "D", "omega", "frdata"):
         if hasattr(value, name):
             result[name] = array_digest(getattr(value, name))
@@ -92,15 +100,24 @@ def _digest(value: Any, depth: int) -> dict[str, Any] | None:
     return result
 
 
+def _titles(**texts: Any) -> dict[str, Any]:
+    """Names that an author gave, as entries of a digest; none where there are none."""
+    found = {name: [str(t) for t in given] for name, given in texts.items() if any(given)}
+    return {"titles": found} if found else {}
+
+
 def _column(column: Any) -> dict[str, Any]:
     import numpy as np
 
     kind = str(column.dtype)
-    if kind.startswith(("datetime", "timedelta")):
-        return {"dtype": kind.split("[")[0], "texts": _texts([str(v) for v in column])}
-    if getattr(column, "nlevels", 1) > 1:
-        return {"dtype": "tuples", "texts": _texts([str(v) for v in column])}
-    return array_digest(np.asarray(column))
+    dates = kind.startswith(("datetime", "timedelta"))
+    if dates or getattr(column, "nlevels", 1) > 1:
+        name = kind.split("[")[0] if dates else "tuples"
+        return {"dtype": name, "texts": _texts([str(v) for v in column])}
+    digest = array_digest(np.asarray(column))
+    if kind == "category":
+        digest["categories"] = _texts([str(c) for c in getattr(column, "cat", column).categories])
+    return digest
 
 
 def array_digest(values: Any) -> dict[str, Any]:
@@ -123,7 +140,8 @@ def array_digest(values: Any) -> dict[str, Any]:
     import numpy as np
 
     a: Any = np.ma.asarray(values) if np.ma.isMaskedArray(values) else np.asarray(values)
-    result: dict[str, Any] = {"dtype": a.dtype.name, "shape": list(a.shape)}
+    name = str(a.dtype) if a.dtype.names else a.dtype.name
+    result: dict[str, Any] = {"dtype": name, "shape": list(a.shape)}
     if a.dtype.kind == "O" and a.size and all(isinstance(v, float) for v in a.ravel()):
         a = a.astype(float)
     if a.dtype.kind == "c":

@@ -9,7 +9,9 @@ from nbregress.mime import WIDGET_TYPE, WIDGET_VIEW
 _STATE = "application/vnd.jupyter.widget-state+json"
 _REFERENCE = "IPY_MODEL_"
 # Traits that say how a widget looks, or how the kernel speaks with it.
-_LEFT_OUT = re.compile(r"_|layout$|style$|msg_id$|tabbable$|tooltip$|comm_id$")
+_LEFT_OUT = re.compile(
+    r"_(?:model|view|dom|property)_|_states_|layout$|style$|msg_id$|tabbable$|tooltip$|comm_id$"
+)
 _PICTURES = ("image/", "text/html", "application/pdf")
 
 
