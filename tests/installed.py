@@ -24,6 +24,11 @@ ROOT = Path(__file__).resolve().parents[1]
 PROJECTS = (ROOT, ROOT / "lib" / "nbregress")
 HELPERS = "built|run|ledger|planted|matrix|house|pattern"
 LOCAL = re.compile(rf"\bROOT\b|\bparents?\[|PYTHONPATH|\b(from|import) ({HELPERS})\b")
+INI = """[pytest]
+filterwarnings =
+    error
+    ignore:'\\w+' (argument is )?deprecated.* use '\\w+':DeprecationWarning
+"""
 BUILD = "import sys, setuptools.build_meta as b; getattr(b, sys.argv[1])(sys.argv[2])"
 
 
@@ -75,7 +80,7 @@ def main() -> int:
             if path.name.startswith("test_") and LOCAL.search(path.read_text(encoding="utf-8")):
                 path.unlink()
         shutil.copy(ROOT / "conftest.py", tests)
-        (tests / "pytest.ini").write_text("[pytest]\nfilterwarnings = error\n", encoding="utf-8")
+        (tests / "pytest.ini").write_text(INI, encoding="utf-8")
         options_ = ["-q", "-p", "no:cacheprovider", "--doctest-modules", "--pyargs"]
         command = [str(python), "-m", "pytest", *options_, "statebook", "nbregress", "."]
         environment = {
