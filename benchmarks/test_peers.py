@@ -131,6 +131,33 @@ def test_simulate(benchmark, whose):
     noted(benchmark, abs(found[0] + np.pi / 2 - swing_exact(1.0, TIMES)).max(), "")
 
 
+def braked(x: np.ndarray, t: float) -> np.ndarray:
+    return -2 * x[1:]
+
+
+@pytest.mark.parametrize("whose", ["ours", "python-control", "scipy"])
+def test_simulate_under_a_policy(benchmark, whose):
+    """One model, one policy, no step longer than an output interval."""
+    benchmark.group = "simulate a pendulum under a policy for 10 s"
+    x0, span, solve = [1.0 - np.pi / 2, 0.0], (0.0, TIMES[-1]), scipy.integrate.solve_ivp
+    tight = {"rtol": 1e-8, "atol": 1e-10}
+    bounded = {**tight, "max_step": TIMES[1]}
+
+    def closed(t: float, x: np.ndarray, *rest: Any) -> np.ndarray:
+        return PENDULUM.rate(x, braked(x, t))
+
+    plant = control.nlsys(closed, None, states=2, inputs=1, outputs=2)
+    respond = control.input_output_response
+    jobs = {
+        "ours": lambda: sb.simulate(PENDULUM, x0, braked, times=TIMES, **tight).states,
+        "python-control": lambda: respond(plant, TIMES, 0, x0, solve_ivp_kwargs=bounded).states,
+        "scipy": lambda: solve(closed, span, x0, t_eval=TIMES, **bounded).y,
+    }
+    exact = solve(closed, span, x0, t_eval=TIMES, method="DOP853", rtol=1e-13, atol=1e-13).y
+    found = benchmark(jobs[whose])
+    noted(benchmark, abs(found[0] - exact[0]).max(), "")
+
+
 @pytest.mark.parametrize("N", [1, 10, 100, 1000])
 @pytest.mark.parametrize("whose", ["ours", "scipy", "numba"])
 def test_batch(benchmark, N, whose):

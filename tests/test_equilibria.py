@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import statebook as sb
+from statebook.invariants import invariants
 
 
 @pytest.mark.parametrize(
@@ -284,3 +285,14 @@ def test_a_guess_outside_the_domain_is_refused():
     with pytest.raises(ValueError, match="finite"):
         with np.errstate(invalid="ignore"):
             sb.find_equilibrium(lambda x: np.sqrt(x) - 1, [-1.0])
+
+
+@pytest.mark.parametrize("discrete", [False, True])
+@pytest.mark.parametrize("size", [1e-4, 1.0, 1e5])
+def test_a_rotation_conserves_the_radius_alone(discrete, size):
+    c, s = np.cos(0.7), np.sin(0.7)
+    change = np.array([[c - 1, -s], [s, c - 1]] if discrete else [[0.0, -2.0], [2.0, 0.0]])
+    found = invariants(lambda x, u: change @ x, size * np.array([0.6, 0.9]), 2, [], discrete)
+    assert found.P.shape == (1, 2, 2)
+    np.testing.assert_allclose(found.P[0] / found.P[0, 0, 0], np.eye(2), atol=1e-9)
+    np.testing.assert_allclose(found.a, 0, atol=1e-9 * size)

@@ -203,3 +203,8 @@ def test_any_shape_works_or_is_refused_by_name(model, data):
 def test_states_are_checked(bad):
     with pytest.raises((ValueError, TypeError), match="x must be"):
         sb.Pendulum().dynamics(bad)
+
+
+@pytest.mark.parametrize("model", [sb.Pendulum, sb.CartPole, sb.PlanarArm])
+def test_weight_is_that_of_the_earth_unless_said(model):
+    assert model().g == 9.8

@@ -156,7 +156,7 @@ def test_a_policy_that_fails_in_one_run_alone_is_named():
         return 0 * x[:1]
 
     starts = np.linspace(0, 1, 30) * [[1.0], [0.0]]
-    with pytest.raises(RuntimeError, match=r"(?s)run 29 from x0 = .*too far"):
+    with pytest.raises(RuntimeError, match=r"(?s)run 29 from x0 = .*no value at t = 0, .*too far"):
         sb.monte_carlo(
             sb.Particle(), starts, policy, number=30, period=0.1, duration=0.2, chunk=9,
             progress=False,

@@ -387,7 +387,7 @@ def test_samples_end_before_a_step_whose_interpolation_has_no_value():
     run = simulate(f, [0.0, 0.0], times=times, method="DOP853")
     assert np.allclose(run.states, [times, times**2])
     hole = asked[-3:]
-    with pytest.raises(sb.DivergenceError, match="the interpolated state is not fin") as caught:
+    with pytest.raises(sb.DivergenceError, match="the interpolation is not finite") as caught:
         simulate(f, [0.0, 0.0], times=times, method="DOP853")
     run = caught.value.trajectory
     assert 1 < len(run.times) < 31 and max(run.times) < min(hole)

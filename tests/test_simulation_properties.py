@@ -516,6 +516,26 @@ def test_many_trajectories_are_the_maps_of_their_own_noise(seed, number, gain):
     np.testing.assert_allclose(run.states[:, :, -1], x, rtol=1e-6, atol=1e-8)
 
 
+@few
+@given(seeds, st.integers(2, 6), st.integers(1, 3))
+@proves("monte_carlo", "Moments")
+def test_moments_in_blocks_are_those_of_all_trajectories(seed, number, chunk):
+    A, _, rng = linear(seed, 2, 1, 0.0)
+    x0 = rng.normal(size=(2, number))
+    push = sb.HeldNoise(np.eye(2), 0.1, seed=seed)
+    options = {"number": number, "period": 0.1, "duration": 0.2, "disturbance": push}
+    whole = sb.monte_carlo(control.ss(A, np.zeros((2, 1)), np.eye(2), 0), x0, **options)
+    moments = sb.monte_carlo(
+        control.ss(A, np.zeros((2, 1)), np.eye(2), 0),
+        x0, **options, reduce="moments", chunk=chunk, progress=False,
+    )  # fmt: skip
+    assert isinstance(moments, sb.Moments) and moments.number == number
+    np.testing.assert_allclose(moments.mean, whole.states.mean(axis=1), rtol=1e-6, atol=1e-7)
+    for k in range(3):
+        expected = np.cov(whole.states[:, :, k])
+        np.testing.assert_allclose(moments.covariance[..., k], expected, rtol=1e-5, atol=1e-7)
+
+
 @small
 @given(seeds, st.integers(1, 3))
 @proves("consistency")

@@ -104,12 +104,6 @@ def test_monte_carlo_asks_once_a_tick_from_the_start_on():
         assert asked == [0.0, 0.1, 0.2]
 
 
-def test_monte_carlo_of_a_system_without_inputs_keeps_what_the_solver_knows():
-    run = sb.monte_carlo(lambda x: -x, [1.0], number=3, period=0.1, duration=1.0)
-    assert run.controls is None
-    np.testing.assert_allclose(run(0.55), np.exp(-0.55), rtol=1e-7)
-
-
 # ---- systems ----
 
 

@@ -276,3 +276,10 @@ def test_a_column_is_a_state_as_sympy_and_matrix_products_write_it():
     np.testing.assert_allclose(system.dynamics(X, U), A @ X + B @ U, rtol=1e-15)
     with pytest.raises(ValueError, match=r"shape \(2,\), got \(1, 2\)"):  # a row is another thing
         sb.as_system(lambda x: x[None], [1.0, 2.0]).dynamics([1.0, 2.0])
+
+
+def test_functions_built_in_c_take_x_and_u():
+    pushed = sb.as_system(np.add, [1.0, 2.0], [0.5, 0.5])  # built in C
+    assert not pushed.timed
+    np.testing.assert_array_equal(pushed.dynamics([1.0, 2.0], [3.0, -1.0]), [4.0, 1.0])
+    np.testing.assert_array_equal(sb.as_system(np.negative, [1.0]).dynamics([3.0]), [-3.0])

@@ -26,6 +26,9 @@ from statebook.probes import (
 class System:
     """A state-space system with labels and a timebase.
 
+    It pickles where its function does: one defined with def at the top of a module, not a lambda
+    (which cloudpickle takes).
+
     Attributes
     ----------
     states, inputs : tuple of str
