@@ -52,6 +52,13 @@ One size after the other, in the same run.
 """
 
 KNEES = """
+- A batch costs what one run does up to about a hundred columns: a step is then the price of calling
+  NumPy. From a thousand on the numbers themselves are the cost, and it grows with their count.
+- Simulating a chain costs the same from 2 states to 200, for the same reason. Linearizing one is
+  an array of n columns and n derivatives, flat up to some sixty states and steep beyond.
+- A spline is timed in proportion to its waypoints; what is refined where limits meet adds to that.
+- A notebook's first cost is its kernel, some seconds; a cell costs milliseconds.
+
 """
 
 
@@ -119,6 +126,7 @@ def measured() -> Path:
     options = ["--benchmark-max-time=0.3", "--benchmark-min-rounds=3", f"--benchmark-json={file}"]
     one = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
+    options += ["-W", "default::pytest.PytestUnraisableExceptionWarning"]  # a peer's leftovers
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:xdist", tests, *options]
     subprocess.run(command, env={**os.environ, **one}, check=True, cwd=PAGE.parents[1])
     run = json.loads(file.read_text(encoding="utf-8"))
