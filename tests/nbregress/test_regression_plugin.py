@@ -231,7 +231,6 @@ def pytest_here(folder, *arguments):
     """A pytest run of its own within this process: a subprocess loads for seconds."""
     points = importlib.metadata.entry_points(group="pytest11")
     options = ["-q", "-p", "no:cacheprovider", "-p", "no:faulthandler", "--color=no"]
-    options += ["-p", "no:unraisableexception"]  # a killed kernel may end a moment later
     if all(point.value != "nbregress.plugin" for point in points):
         options += ["-p", "nbregress.plugin"]
     return in_process(folder, pytest.main, [*options, "--nb", *arguments])
@@ -351,7 +350,6 @@ def test_bad_option(tmp_path, arguments):
     assert done.returncode == 4 and "must be a number >= 0" in done.stderr
 
 
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # killed kernel
 def test_settings(tmp_path):
     (tmp_path / "pytest.ini").write_text("[pytest]\nregression_rtol = 0.1\n")
     waits = cell("import threading; threading.Event().wait()", execution_count=2)

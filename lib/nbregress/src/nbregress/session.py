@@ -159,11 +159,8 @@ class Session(NotebookClient):
             If there is no such kernel, or it does not start.
         """
         language = notebook_language(self.nb)
-        wanted = self.settings.kernel
-        if wanted is None:
-            spec = self.nb.metadata.get("kernelspec", {})
-            python = language == "python"
-            wanted = CURRENT_ENV_KERNEL_NAME if python else str(spec.get("name", language))
+        own = str(self.nb.metadata.get("kernelspec", {}).get("name", language))
+        wanted = self.settings.kernel or (CURRENT_ENV_KERNEL_NAME if language == "python" else own)
         specs = NbvalKernelspecManager()
         try:
             specs.get_kernel_spec(wanted)
@@ -241,12 +238,18 @@ class Session(NotebookClient):
         """
         if self.km is None:
             return
+        process: Any = getattr(getattr(self.km, "provisioner", None), "process", None)
         try:
             for code in finish:
                 await self._silently(code)
         finally:
             self.shutdown_kernel = "immediate"
-            await self._async_cleanup_kernel()
+            try:
+                await self._async_cleanup_kernel()
+            finally:  # where this is cancelled too, no process is left behind
+                if process is not None:
+                    process.kill()
+                    process.wait()
 
     async def _silently(self, code: str) -> None:
         assert self.kc is not None
@@ -291,9 +294,7 @@ async def execute(
         If a cell takes too long, or the kernel dies.
     """
     try:
-        for index, cell in enumerate(session.nb.cells):
-            if until is not None and index > until:
-                break
+        for index, cell in enumerate(session.nb.cells[: None if until is None else until + 1]):
             if cell.cell_type != "code" or cell_options(cell).get("skip"):
                 continue
             if not cell.source.strip():
