@@ -56,7 +56,8 @@ KNEES = """
   NumPy. From a thousand on the numbers themselves are the cost, and it grows with their count.
 - Simulating a chain costs the same from 2 states to 200, for the same reason. Linearizing one is
   an array of n columns and n derivatives, flat up to some sixty states and steep beyond.
-- A spline is timed in proportion to its waypoints; what is refined where limits meet adds to that.
+- A spline is timed in proportion to its waypoints until the grid is as fine as it gets: beyond, the
+  gap grows instead of the time, and the result says so.
 - A notebook's first cost is its kernel, some seconds; a cell costs milliseconds.
 
 """

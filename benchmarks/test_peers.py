@@ -343,7 +343,7 @@ def written(folder: Path, cells: int, fault: str = "") -> Path:
 TESTED = {"ours": ["--nb"], "nbval": ["--nbval", "--nbval-current-env"], "nbmake": ["--nbmake"]}
 
 
-def tested(whose: str, path: Path) -> int:
+def judged(whose: str, path: Path) -> int:
     """Test a notebook; return pytest's exit code."""
     options = ["-q", "-p", "no:cacheprovider", "-p", "no:xdist", "-p", "no:benchmark"]
     command = [sys.executable, "-m", "pytest", *options, *TESTED[whose], str(path)]
@@ -358,9 +358,9 @@ def test_notebook(benchmark, cells, whose, tmp_path):
         pytest.importorskip(whose)
     benchmark.group = f"test a notebook of {cells} cells"
     right = written(tmp_path, cells)
-    code = benchmark.pedantic(lambda: tested(whose, right), rounds=1, warmup_rounds=0)
+    code = benchmark.pedantic(lambda: judged(whose, right), rounds=1, warmup_rounds=0)
     assert code == 0
-    missed = tested(whose, written(tmp_path, 10, "5")) == 0
+    missed = judged(whose, written(tmp_path, 10, "5")) == 0
     noted(benchmark, float(missed), f"{cells} cells")
 
 
@@ -445,5 +445,5 @@ def test_growth_waypoints(benchmark, size):
 def test_growth_cells(benchmark, size, tmp_path):
     benchmark.group = "growth: test a notebook, by cells"
     path = written(tmp_path, size)
-    code = benchmark.pedantic(lambda: tested("ours", path), rounds=1, warmup_rounds=0)
+    code = benchmark.pedantic(lambda: judged("ours", path), rounds=1, warmup_rounds=0)
     noted(benchmark, float(code != 0), size)
