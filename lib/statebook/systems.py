@@ -140,8 +140,6 @@ class System:
                 except Exception:  # one column's, perhaps
                     if np.iscomplexobj(x):
                         raise
-                    if x.shape[1] == 1:
-                        return np.full(x.shape, np.nan)
             columns = []
             for column in zip(x.T, u.T, strict=True):
                 try:
@@ -239,21 +237,17 @@ def _from_model(model: Any) -> System:
     plain = getattr(type(model), "dynamics", None) is Model.dynamics
     # Its dynamics would check once more what System does.
     rate = model.rate if plain else partial(rates.of_model, model.dynamics)
-    return System(
-        rate=rate,
-        states=tuple(model.states),
-        inputs=tuple(model.inputs),
-        linear=getattr(model, "linear", False),
-        name=type(model).__name__,
-        source=model,
-    )
+    labels, linear = (tuple(model.states), tuple(model.inputs)), getattr(model, "linear", False)
+    return System(rate, *labels, linear=linear, name=type(model).__name__, source=model)
 
 
 def _from_control(sys: Any) -> System:
     import control
 
     rates.make_portable(control.StateSpace)
-    if isinstance(sys, control.StateSpace):
+    linear = isinstance(sys, control.StateSpace)
+    rate: Any
+    if linear:
         rate = partial(rates.linear, np.asarray(sys.A), np.asarray(sys.B))
     elif isinstance(sys, control.NonlinearIOSystem) and sys.nstates is not None:
         rate = partial(rates.of_control, sys)
@@ -262,17 +256,8 @@ def _from_control(sys: Any) -> System:
             f"system must be in state space, got {type(sys).__name__};"
             " convert it with control.ss() first"
         )
-    return System(
-        rate=rate,
-        states=tuple(sys.state_labels),
-        inputs=tuple(sys.input_labels),
-        dt=sys.dt,
-        linear=isinstance(sys, control.StateSpace),
-        name=sys.name,
-        source=sys,
-        batched=isinstance(sys, control.StateSpace),
-        timed=not isinstance(sys, control.StateSpace),
-    )
+    labels = tuple(sys.state_labels), tuple(sys.input_labels)
+    return System(rate, *labels, sys.dt, linear, sys.name, sys, batched=linear, timed=not linear)
 
 
 def _from_function(
@@ -309,22 +294,15 @@ def _from_function(
         raise ValueError(f"{input_name} must have shape (m,) or (m, N), got {u0.shape}")
     drive = u0 if u0.ndim == 1 else u0[:, 0]
 
-    def at_start(x: np.ndarray, u: np.ndarray) -> np.ndarray:
-        return rate(x, u, 0.0)
-
+    at_start = partial(rate, t=0.0)
     require_pure(lambda x, u: copied(f(*(x, u, 0.0)[:number])), (state, drive))
     columns = next(N for N in (3, 4, 5) if N not in (state.size, drive.size))
     beside = spread_beside(state, columns), spread_beside(drive, columns)
-    return System(
-        rate=rate,
-        states=tuple(f"x[{i}]" for i in range(state.size)),
-        inputs=tuple(f"u[{i}]" for i in range(drive.size)),
-        dt=dt,
-        name=getattr(f, "__name__", type(f).__name__).replace("<lambda>", "function"),
-        source=f,
-        batched=takes_batches(at_start, *beside, alone=at_start, rtol=1e-12),
-        timed=timed,
-    )
+    batched = takes_batches(at_start, *beside, alone=at_start, rtol=1e-12)
+    states = tuple(f"x[{i}]" for i in range(state.size))
+    inputs = tuple(f"u[{i}]" for i in range(drive.size))
+    name = getattr(f, "__name__", type(f).__name__).replace("<lambda>", "function")
+    return System(rate, states, inputs, dt, name=name, source=f, batched=batched, timed=timed)
 
 
 def time_of(system: System, x: np.ndarray, u: np.ndarray, t: float | None) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -48,7 +47,7 @@ class CartPole(Model):
     states: ClassVar[tuple[str, ...]] = ("p", "theta", "v", "omega")
     inputs: ClassVar[tuple[str, ...]] = ("force", "torque")
 
-    def _derivative(self, x: np.ndarray, u: np.ndarray) -> Sequence[np.ndarray]:
+    def _derivative(self, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, ...]:
         _, theta, v, omega = x
         sine, cosine = np.sin(theta), np.cos(theta)
         h = self.m_pole * self.L / 2

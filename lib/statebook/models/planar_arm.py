@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -51,8 +50,8 @@ class PlanarArm(Model):
             pair = getattr(self, name)
             if np.shape(pair) != (2,):
                 raise ValueError(f"{name} must be two numbers, got {pair!r}")
-            self._set(name, tuple(_validate.positive(f"{name}[{i}]", pair[i]) for i in (0, 1)))
-        self._set("g", _validate.non_negative("g", self.g))
+            vars(self)[name] = tuple(_validate.positive(f"{name}[{i}]", pair[i]) for i in (0, 1))
+        vars(self).update(g=_validate.non_negative("g", self.g))
 
     def _mass_matrix(self, q2: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """Return M11, M12 = M21 and M22."""
@@ -94,7 +93,7 @@ class PlanarArm(Model):
         b1, b2 = self._bias(q, v)
         return np.stack([m11 * a[0] + m12 * a[1] + b1, m12 * a[0] + m22 * a[1] + b2])
 
-    def _derivative(self, x: np.ndarray, u: np.ndarray) -> Sequence[np.ndarray]:
+    def _derivative(self, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, ...]:
         q, v = x[:2], x[2:]
         m11, m12, m22 = self._mass_matrix(q[1])
         b1, b2 = self._bias(q, v)
