@@ -11,7 +11,8 @@ import numpy as np
 
 from statebook import _validate
 from statebook.angles import wrap_angle
-from statebook.controllers.linear import LQR, state_of
+from statebook.controllers.feedback import state_of
+from statebook.controllers.lqr import LQR
 from statebook.models.cart_pole import CartPole
 from statebook.models.pendulum import Pendulum
 from statebook.simulation import simulate
