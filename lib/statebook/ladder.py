@@ -184,18 +184,9 @@ def descend(
     excess = measured - 8 * at(best, rounding)
     residue = 2 * _EPS * np.abs(z) * bend + 4 * np.maximum(excess, 0.0) / at(best, r)
     residue = residue + 8 * at(best, blurred / r)
-    nan = np.isnan(up) | np.isnan(down)
-    return Ladder(
-        value=taken,
-        error=err,
-        residue=residue,
-        still=~(values != start).any(axis=1),
-        undefined=nan[:, -12:].all(axis=1) | np.isinf(err),
-        kink=kink,
-        unsettled=unsettled,
-        sides=sides,
-        rate=rate,
-    )
+    still, nan = ~(values != start).any(axis=1), np.isnan(up) | np.isnan(down)
+    undefined = nan[:, -12:].all(axis=1) | np.isinf(err)
+    return Ladder(taken, err, residue, still, undefined, kink, unsettled, sides, rate)
 
 
 def _roughness(moved: np.ndarray, values: np.ndarray) -> np.ndarray:

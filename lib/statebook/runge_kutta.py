@@ -166,27 +166,23 @@ _DORMAND_PRINCE = ButcherTableau(
     b_embedded=["5179/57600", 0, "7571/16695", "393/640", "-92097/339200", "187/2100", "1/40"],
 )
 
-#: The Runge-Kutta methods by name.
-METHODS = MappingProxyType(
-    {
-        tableau.name: tableau
-        for tableau in (
-            ButcherTableau("euler", [[0]], [1], [0], order=1),
-            ButcherTableau("midpoint", [[0, 0], ["1/2", 0]], [0, 1], [0, "1/2"], order=2),
-            ButcherTableau("heun", [[0, 0], [1, 0]], ["1/2", "1/2"], [0, 1], order=2),
-            ButcherTableau(
-                "rk4",
-                [[0, 0, 0, 0], ["1/2", 0, 0, 0], [0, "1/2", 0, 0], [0, 0, 1, 0]],
-                ["1/6", "1/3", "1/3", "1/6"],
-                [0, "1/2", "1/2", 1],
-                order=4,
-            ),
-            _DORMAND_PRINCE,
-            ButcherTableau("backward_euler", [[1]], [1], [1], order=1),
-            ButcherTableau("implicit_midpoint", [["1/2"]], [1], ["1/2"], order=2),
-        )
-    }
+_TABLEAUS = (
+    ButcherTableau("euler", [[0]], [1], [0], order=1),
+    ButcherTableau("midpoint", [[0, 0], ["1/2", 0]], [0, 1], [0, "1/2"], order=2),
+    ButcherTableau("heun", [[0, 0], [1, 0]], ["1/2", "1/2"], [0, 1], order=2),
+    ButcherTableau(
+        "rk4",
+        [[0, 0, 0, 0], ["1/2", 0, 0, 0], [0, "1/2", 0, 0], [0, 0, 1, 0]],
+        ["1/6", "1/3", "1/3", "1/6"],
+        [0, "1/2", "1/2", 1],
+        order=4,
+    ),
+    _DORMAND_PRINCE,
+    ButcherTableau("backward_euler", [[1]], [1], [1], order=1),
+    ButcherTableau("implicit_midpoint", [["1/2"]], [1], ["1/2"], order=2),
 )
+#: The Runge-Kutta methods by name.
+METHODS = MappingProxyType({tableau.name: tableau for tableau in _TABLEAUS})
 
 
 def as_tableau(method: str | ButcherTableau) -> ButcherTableau:

@@ -288,7 +288,7 @@ class Solver:
         if ahead > _MANY and count == _CHECK_EVERY:
             warnings.warn(
                 f"with steps of {length:.0e} s it will take some {ahead:.0e} of them; {_HINT}",
-                stacklevel=6,
+                stacklevel=7,
             )
 
 

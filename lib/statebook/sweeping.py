@@ -157,7 +157,8 @@ def sweep(
                     return done.result(shape)
                 workers = workers or multiprocessing.active_children()
                 ended = wait(pending, return_when=FIRST_COMPLETED).done
-                for future in sorted(ended, key=_failed):  # what succeeded is kept first
+                # What succeeded is kept first.
+                for future in sorted(ended, key=lambda f: f.cancelled() or bool(f.exception())):
                     part = pending[future]
                     try:
                         found = future.result()
@@ -179,10 +180,6 @@ def sweep(
             for other in pending:
                 other.cancel()
             raise
-
-
-def _failed(future: Any) -> bool:
-    return future.cancelled() or future.exception() is not None
 
 
 def _of_variant(function: Callable[..., Any], model: Any, /, **values: Any) -> Any:

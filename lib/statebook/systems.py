@@ -266,9 +266,7 @@ def _from_function(
     state_name, input_name = names
     if x0 is None:
         raise ValueError(f"{state_name} is required for a function: its length tells the state's")
-    x0 = _validate.array(state_name, x0)
-    if x0.ndim not in (1, 2):
-        raise ValueError(f"{state_name} must have shape (n,) or (n, N), got {x0.shape}")
+    x0 = _validate.vectors(state_name, x0, "n")
     if dt is not None and dt is not True:
         dt = _validate.non_negative("dt", dt)
     required, accepted = arguments_of(f)
@@ -289,9 +287,7 @@ def _from_function(
                 f" input's; write {input_name}=np.zeros(m)"
             )
         u0 = np.zeros(m)
-    u0 = _validate.array(input_name, u0) if u0 is not None else np.zeros(0)
-    if u0.ndim not in (1, 2):
-        raise ValueError(f"{input_name} must have shape (m,) or (m, N), got {u0.shape}")
+    u0 = _validate.vectors(input_name, u0, "m") if u0 is not None else np.zeros(0)
     drive = u0 if u0.ndim == 1 else u0[:, 0]
 
     at_start = partial(rate, t=0.0)

@@ -233,9 +233,7 @@ def _hint(f: Any, x: np.ndarray, u: np.ndarray) -> str:
 def _limits(limits: Any, known: Sequence[str], at: Any, units: Any) -> dict[str, Any]:
     found = {}
     for label in labels_among("limits", tuple(limits or ()), known):
-        low, high = _validate.real_array(f"limits[{label!r}]", limits[label], (2,)).tolist()
-        if not low < high:
-            raise ValueError(f"limits[{label!r}] must be (low, high), got {limits[label]!r}")
+        low, high = _validate.interval(f"limits[{label!r}]", limits[label])
         if label in at and not low <= at[label] <= high:
             raise ValueError(
                 f"the guess of {label} must lie within its limits {low:g} to {high:g}, got"

@@ -75,7 +75,7 @@ class SwingUp:
     catch: LQR = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        _require_kind("pendulum", self.pendulum, Pendulum)
+        _validate.instance("pendulum", self.pendulum, Pendulum)
         limit = _validate.positive("limit", self.limit)
         _validate.positive("gain", self.gain)
         if self.pendulum.g == 0:
@@ -161,7 +161,7 @@ def cart_force(cartpole: CartPole, x: Any, acceleration: Any) -> np.ndarray:
     >>> cart_force(CartPole(m_cart=2.0, m_pole=1.0), [0.0, -np.pi / 2, 0.0, 0.0], 3.0).round(9)
     np.float64(6.0)
     """
-    _require_kind("cartpole", cartpole, CartPole)
+    _validate.instance("cartpole", cartpole, CartPole)
     idle = cartpole.dynamics(x, [0.0, 0.0])[2]
     acceleration = _validate.array("acceleration", acceleration)
     if acceleration.shape not in ((), (1,), idle.shape):
@@ -169,11 +169,6 @@ def cart_force(cartpole: CartPole, x: Any, acceleration: Any) -> np.ndarray:
             f"acceleration must be a number or have shape {idle.shape}, got {acceleration.shape}"
         )
     return (acceleration - idle) / (cartpole.dynamics(x, [1.0, 0.0])[2] - idle)
-
-
-def _require_kind(name: str, model: Any, kind: type) -> None:
-    if not isinstance(model, kind):
-        raise TypeError(f"{name} must be a {kind.__name__}, got {type(model).__name__}")
 
 
 def _without_torque(cartpole: CartPole, x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
@@ -244,14 +239,12 @@ class CartPoleSwingUp:
     trial: Trajectory = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        _require_kind("cartpole", self.cartpole, CartPole)
+        _validate.instance("cartpole", self.cartpole, CartPole)
         if not callable(self.acceleration):
             raise TypeError(f"acceleration must be a function of time, got {self.acceleration!r}")
         _validate.positive("switch", self.switch)
         _validate.positive("limit", self.limit)
-        low, high = _validate.real_array("track", self.track, (2,))
-        if not low < high:
-            raise ValueError(f"track must increase, got [{low:g}, {high:g}] m")
+        low, high = _validate.interval("track", self.track)
         target = (low + high) / 2 if self.target is None else self.target
         for name, place in (("start", self.start), ("target", target)):
             if not low <= _validate.number(name, place) <= high:

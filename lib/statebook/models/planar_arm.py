@@ -85,9 +85,7 @@ class PlanarArm(Model):
         TypeError, ValueError
             An argument is not made of finite numbers, or has another shape than q.
         """
-        q = _validate.array("q", q)
-        if q.ndim not in (1, 2) or q.shape[0] != 2:
-            raise ValueError(f"q must have shape (2,) or (2, N), got {q.shape}")
+        q = _validate.vectors("q", q, 2)
         v, a = _validate.array("qd", qd, q.shape), _validate.array("qdd", qdd, q.shape)
         m11, m12, m22 = self._mass_matrix(q[1])
         b1, b2 = self._bias(q, v)
@@ -119,9 +117,7 @@ class PlanarArm(Model):
         array([[2., 0.],
                [3., 0.]])
         """
-        q = _validate.array("q", q)
-        if q.ndim not in (1, 2) or q.shape[0] != 2:
-            raise ValueError(f"q must have shape (2,) or (2, N), got {q.shape}")
+        q = _validate.vectors("q", q, 2)
         l1, l2 = self.lengths
         elbow = l1 * np.stack([np.cos(q[0]), np.sin(q[0])])
         forearm = l2 * np.stack([np.cos(q[0] + q[1]), np.sin(q[0] + q[1])])

@@ -289,9 +289,8 @@ def discretize_noise(A: Any, G: Any, intensity: Any, dt: float) -> np.ndarray:
     >>> discretize_noise([[0, 1], [0, 0]], [[0], [1]], 3.0, 2.0).round(9).tolist()
     [[8.0, 6.0], [6.0, 6.0]]
     """
-    A = _validate.real_array("A", A, (None, None))
+    A = _validate.real_array("A", _validate.square("A", A))
     n = len(A)
-    A = _validate.real_array("A", A, (n, n))
     if n == 0:
         raise ValueError("A must have at least one row, got none")
     G = _validate.real_array("G", G, (n, None))
