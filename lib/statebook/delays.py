@@ -222,16 +222,9 @@ def _growth(A: np.ndarray, later: np.ndarray, delay: float, margin: float, omega
     rate = abs((-1j * omega * share / (1 + margin * share)).real * (delay - margin))
     period = 2 * np.pi / omega
     duration = period * np.clip(np.ceil(6 / (rate * period + 1e-9)), _LEAST, _MOST)
-    run = simulate(
-        lambda x, u: A @ x + u,
-        right[:, k].real,
-        lambda x, t: later @ x,
-        times=np.linspace(0, duration, int(60 * duration / period)),
-        delay=delay,
-        rtol=1e-6,
-        atol=1e-12,
-        max_step=delay,
-    )
+    options: dict[str, Any] = {"delay": delay, "max_step": delay, "rtol": 1e-6, "atol": 1e-12}
+    options["times"] = np.linspace(0, duration, int(60 * duration / period))
+    run = simulate(lambda x, u: A @ x + u, right[:, k].real, lambda x, t: later @ x, **options)
     early, late = (
         np.abs(run.states[:, (run.times >= at - period) & (run.times <= at)]).max()
         for at in (duration / 2, duration)

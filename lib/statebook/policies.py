@@ -81,10 +81,9 @@ class Control:
             own = self.plan.between(start, float(steps.times[-1]))
             coefficients = np.zeros((len(own.coefficients), 1, first.size))
             coefficients[-1] = first[0]
-            plan = ControlTrajectory(
-                np.concatenate([[start], own.breakpoints + delay]),
-                np.concatenate([coefficients, own.coefficients], axis=1),
-            )
+            breakpoints = np.concatenate([[start], own.breakpoints + delay])
+            coefficients = np.concatenate([coefficients, own.coefficients], axis=1)
+            plan = ControlTrajectory(breakpoints, coefficients)
             return of_plan(plan, self.m, self.batch), np.empty(0)
 
         early = [start, *switches.tolist(), np.inf]

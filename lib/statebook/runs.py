@@ -62,12 +62,10 @@ def through(
             k = int(np.argmin(np.isfinite(controls).reshape(-1, controls.shape[-1]).all(axis=0)))
             raise ValueError(f"u(x, t) must be finite, got {controls[..., k]} at t = {times[k]:g}")
         controls = None  # the control is what stopped the simulation
-    labels = system.inputs if controls is not None else None
-    run = of_run(
-        Trajectory(times, states, controls, (), system.states, labels, tuple(solver.found)),
-        dense,
-        felt.plan if system.m and controls is not None else None,
-    )
+    labels, plan = (None, None) if controls is None else (system.inputs, felt.plan)
+    found = tuple(solver.found)
+    samples = Trajectory(times, states, controls, (), system.states, labels, found)
+    run = of_run(samples, dense, plan)
     if stop is not None:
         raise DivergenceError(
             f"simulation of {system.name} stopped at t = {stop.time:.6g}, x = "

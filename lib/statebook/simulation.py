@@ -349,9 +349,8 @@ def _times(given: np.ndarray | None, duration: Any, start: float, system: System
         duration = _validate.positive("duration", duration)
         if not system.discrete:
             return np.linspace(start, start + duration, _SAMPLES)
-        counts = np.arange(
-            whole_samples("duration", duration, system.dt, f" apart, got {duration}") + 1
-        )
+        number = whole_samples("duration", duration, system.dt, f" apart, got {duration}")
+        counts = np.arange(number + 1)
     elif system.discrete:
         counts = whole_samples("times", given - start, system.dt, f" apart, got {given}", 1e-6)
     else:

@@ -280,11 +280,8 @@ class Solver:
         self._pace = max(self._pace, length)
         most = self.max_steps or (_MANY if length < _COLLAPSED * self._pace else _HOPELESS)
         if count + ahead > most:
-            raise StoppedError(
-                f"with steps of {length:.0e} s it would take more than {most:g} of them; {_HINT}",
-                steps.time,
-                steps.state,
-            )
+            said = f"with steps of {length:.0e} s it would take more than {most:g} of them; {_HINT}"
+            raise StoppedError(said, steps.time, steps.state)
         if ahead > _MANY and count == _CHECK_EVERY:
             warnings.warn(
                 f"with steps of {length:.0e} s it will take some {ahead:.0e} of them; {_HINT}",

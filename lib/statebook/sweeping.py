@@ -363,6 +363,5 @@ def _death(grid: Mapping[str, Any], lost: Iterable[int], board: Any, workers: Se
     return (
         f"worker process {who + ' ' if who else ''}died at {', '.join(shown)}: killed, out of"
         " memory or crashed in compiled code; a script must call sweep under if __name__ =="
-        ' "__main__":,'
-        " and executor=ThreadPoolExecutor() keeps all in one process"
+        ' "__main__":, and executor=ThreadPoolExecutor() keeps all in one process'
     )

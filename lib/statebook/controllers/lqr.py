@@ -272,11 +272,9 @@ class LQR:
         """The closed loop with its integrals; its inputs are disturbances."""
         system = as_system(self.system, self.x0, self.u0)
         p = self.K.shape[1] - system.n
-        return replace(
-            feedback.closed_loop(system, partial(self._closed, system), {"z": p}, "LQR"),
-            linear=system.linear and self.limit is None and not self.wrapped,
-            timed=system.timed or callable(self.reference),
-        )
+        loop = feedback.closed_loop(system, partial(self._closed, system), {"z": p}, "LQR")
+        linear = system.linear and self.limit is None and not self.wrapped
+        return replace(loop, linear=linear, timed=system.timed or callable(self.reference))
 
     def _closed(self, system: System, y: np.ndarray, d: np.ndarray, t: float) -> np.ndarray:
         n, u = system.n, self(y, t)

@@ -96,9 +96,8 @@ class PD:
 
     def __call__(self, x: Any, t: float) -> np.ndarray:
         """Evaluate u(x, t), shape (m,) or (m, N)."""
-        return feedback.saturate(
-            self._unlimited(feedback.state_of(x, 2 * len(self.u0))), self.limit
-        )
+        x = feedback.state_of(x, 2 * len(self.u0))
+        return feedback.saturate(self._unlimited(x), self.limit)
 
 
 @dataclass(frozen=True, eq=False)

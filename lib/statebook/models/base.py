@@ -94,10 +94,6 @@ class Model:
         """
         import control
 
-        return control.nlsys(
-            lambda t, x, u, params: self.dynamics(x, u),
-            states=list(self.states),
-            inputs=list(self.inputs),
-            outputs=list(self.states),
-            name=type(self).__name__.lower(),
-        )
+        states, name = list(self.states), type(self).__name__.lower()
+        labels = {"states": states, "inputs": list(self.inputs), "outputs": states, "name": name}
+        return control.nlsys(lambda t, x, u, params: self.dynamics(x, u), **labels)

@@ -56,20 +56,13 @@ class CartPole(Model):
         d = self.m_cart * inertia + (h * cosine) ** 2
         force = u[0] + h * omega**2 * cosine
         torque = u[1] - h * self.g * cosine
-        return (
-            v,
-            omega,
-            (inertia * force + h * sine * torque) / d,
-            (h * sine * force + total * torque) / d,
-        )
+        acceleration = (inertia * force + h * sine * torque) / d
+        return v, omega, acceleration, (h * sine * force + total * torque) / d
 
     def energy(self, x: Any) -> np.ndarray:
         """Return kinetic and potential energy [J], zero at rest with a level pole."""
         (_, theta, v, omega), _ = self._arguments(x)
         h = self.m_pole * self.L / 2
-        kinetic = (
-            (self.m_cart + self.m_pole) * v**2 / 2
-            - h * np.sin(theta) * v * omega
-            + self.m_pole * self.L**2 / 4 * omega**2 / 2
-        )
-        return kinetic + h * self.g * np.sin(theta)
+        sideways = (self.m_cart + self.m_pole) * v**2 / 2 - h * np.sin(theta) * v * omega
+        turning = self.m_pole * self.L**2 / 4 * omega**2 / 2
+        return sideways + turning + h * self.g * np.sin(theta)

@@ -64,10 +64,8 @@ class PlanarArm(Model):
         (l1, l2), (m1, m2) = self.lengths, self.masses
         coriolis = m2 * l1 * l2 * np.sin(q[1])
         hand = m2 * self.g * l2 * np.cos(q[0] + q[1])
-        return (
-            -coriolis * (2 * v[0] + v[1]) * v[1] + (m1 + m2) * self.g * l1 * np.cos(q[0]) + hand,
-            coriolis * v[0] ** 2 + hand,
-        )
+        elbow = -coriolis * (2 * v[0] + v[1]) * v[1] + (m1 + m2) * self.g * l1 * np.cos(q[0])
+        return elbow + hand, coriolis * v[0] ** 2 + hand
 
     def inverse_dynamics(self, q: Any, qd: Any, qdd: Any) -> np.ndarray:
         """Return the torques that give the joints an acceleration.

@@ -157,13 +157,9 @@ class HeldNoise:
         bias = _validate.real_array("bias", self.bias)
         if bias.shape not in ((), (q,)):
             raise ValueError(f"bias must be a number or have shape ({q},), got {bias.shape}")
-        vars(self).update(
-            covariance=covariance,
-            period=_validate.positive("period", self.period),
-            seed=_seed(self.seed),
-            bias=np.broadcast_to(bias, (q,)),
-            _root=square_root(covariance),
-        )
+        period, seed = _validate.positive("period", self.period), _seed(self.seed)
+        vars(self).update(covariance=covariance, period=period, seed=seed)
+        vars(self).update(bias=np.broadcast_to(bias, (q,)), _root=square_root(covariance))
 
     @classmethod
     def white(cls, intensity: Any, period: float, *, seed: Any, bias: Any = 0.0) -> HeldNoise:
