@@ -1,7 +1,5 @@
 """Checks of callers' arguments: each error names the argument, the rule and what arrived."""
 
-from __future__ import annotations
-
 import numbers
 from collections.abc import Collection
 from typing import Any, TypeVar

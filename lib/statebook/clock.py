@@ -1,7 +1,5 @@
 """A sampled controller: what acts on the plant between the ticks of a clock."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence

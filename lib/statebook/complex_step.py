@@ -1,7 +1,5 @@
 """The complex step, unchecked, and the Jacobians that a search can do with."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable
 

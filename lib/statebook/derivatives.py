@@ -8,8 +8,6 @@ Where they disagree, a ladder of steps finds the scale of f's own at which diffe
 and what they are worth there; that decides.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """Events: the times at which a function of the state passes zero."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Linear and quadratic functions of the state that f conserves."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

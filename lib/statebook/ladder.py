@@ -6,8 +6,6 @@ never smooth to the last: its noise is measured on the lowest rungs, and that of
 that rises in stairs (one that rounds, or computes in short precision) by the stairs.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

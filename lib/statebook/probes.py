@@ -1,7 +1,5 @@
 """What a plain function can do, found by calling it."""
 
-from __future__ import annotations
-
 import inspect
 import re
 import warnings

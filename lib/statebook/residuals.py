@@ -1,7 +1,5 @@
 """The residual of an equilibrium, its derivatives, and its noise."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Runge-Kutta methods: tableaus, stability functions, amplification matrices."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction

@@ -1,7 +1,5 @@
 """A run of a simulation, from its first step to its trajectory."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Iterable
 

@@ -1,7 +1,5 @@
 """Simulation: a system from an initial state under a control, or under a clock."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

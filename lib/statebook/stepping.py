@@ -1,7 +1,5 @@
 """How a simulation goes from sample to sample: by iteration, fixed steps, or a solver."""
 
-from __future__ import annotations
-
 import bisect
 import warnings
 from collections.abc import Iterable

@@ -1,7 +1,5 @@
 """Evaluate a function over a grid of parameters, on one machine or many."""
 
-from __future__ import annotations
-
 import hashlib
 import inspect
 import itertools

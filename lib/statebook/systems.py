@@ -1,7 +1,5 @@
 """One view of every kind of system: x' = f(x, u), or x_next = f(x, u)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial

@@ -1,7 +1,5 @@
 """Increasing times: checks, and which interval a time falls into."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A model as its owner states it: states, units, operating point, limits; and what is odd in it."""
 
-from __future__ import annotations
-
 import inspect
 import warnings
 from collections.abc import Mapping, Sequence
@@ -233,7 +231,9 @@ def _hint(f: Any, x: np.ndarray, u: np.ndarray) -> str:
 def _limits(limits: Any, known: Sequence[str], at: Any, units: Any) -> dict[str, Any]:
     found = {}
     for label in labels_among("limits", tuple(limits or ()), known):
-        low, high = _validate.interval(f"limits[{label!r}]", limits[label])
+        low, high = _validate.real_array(f"limits[{label!r}]", limits[label], (2,)).tolist()
+        if not low < high:
+            raise ValueError(f"limits[{label!r}] must be (low, high), got {limits[label]!r}")
         if label in at and not low <= at[label] <= high:
             raise ValueError(
                 f"the guess of {label} must lie within its limits {low:g} to {high:g}, got"

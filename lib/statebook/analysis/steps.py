@@ -1,7 +1,5 @@
 """Steps of a notebook that wait for one another and say in a sentence what is wrong."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 import re

@@ -1,7 +1,5 @@
 """Units as a caller writes them: their dimension and size."""
 
-from __future__ import annotations
-
 import re
 
 # By the exponents of (m, kg, s, A, K, mol), the size in SI units; an angle is a number.

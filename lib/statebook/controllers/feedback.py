@@ -1,7 +1,5 @@
 """What every feedback law stands on: its limit, its loop, and what it refuses."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The linear-quadratic regulator, with references and integrals."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial

@@ -1,7 +1,5 @@
 """PD control of positions; PID control of what is measured, its memory a state."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial

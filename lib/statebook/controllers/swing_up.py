@@ -1,7 +1,5 @@
 """Swing a pendulum, or the pole of a cart, up and catch it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial

@@ -1,7 +1,5 @@
 """A car that rolls without slip."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar
 

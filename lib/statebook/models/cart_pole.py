@@ -1,7 +1,5 @@
 """A cart on a rail with a pole hinged to it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, ClassVar
 

@@ -1,7 +1,5 @@
 """A mass on a spring and a damper."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, ClassVar
 

@@ -1,7 +1,5 @@
 """A point mass driven by a force."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, ClassVar
 

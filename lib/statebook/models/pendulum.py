@@ -1,7 +1,5 @@
 """A pendulum with a motor at its pin."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, ClassVar
 

@@ -1,7 +1,5 @@
 """An arm of two links in a vertical plane."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, ClassVar
 

@@ -1,7 +1,5 @@
 """Figures that a reader moves: sliders over frames that are drawn once, and films."""
 
-from __future__ import annotations
-
 import base64
 import gzip
 import hashlib

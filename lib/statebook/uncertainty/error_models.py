@@ -1,7 +1,5 @@
 """Errors wrapped round systems and policies; `monte_carlo` runs them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import fields, is_dataclass, replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Many trajectories of one system under independent errors."""
 
-from __future__ import annotations
-
 import functools
 import math
 import os
