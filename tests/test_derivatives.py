@@ -11,7 +11,7 @@ import pytest
 import scipy
 
 import statebook as sb
-from statebook.derivatives import derivative
+from statebook.derivatives import differentiate
 
 WAVE = 2 * np.pi / 500e-9
 
@@ -101,7 +101,7 @@ SMALL_SHARES = {
 @pytest.mark.parametrize(("f", "x0", "expected"), SMALL_SHARES.values(), ids=SMALL_SHARES)
 def test_a_slope_that_is_small_in_its_row_is_right_within_its_error(f, x0, expected):
     n = len(x0)
-    J, error = derivative(
+    J, error, *_ = differentiate(
         lambda z: np.stack([np.array(f(c)) for c in z.T], axis=1), np.array(x0)[:, None]
     )
     assert J.shape == (1, 1, n)
