@@ -42,6 +42,8 @@ class Cluster:
         Rounding cannot change side and defective.
     spread : float
         How far rounding may move the eigenvalue, or the mean of several.
+    share : array, shape (k,)
+        Of each of the block's states in their invariant subspace.
     """
 
     block: int
@@ -52,6 +54,7 @@ class Cluster:
     defective: bool
     clear: bool
     spread: float
+    share: np.ndarray
 
 
 class Group(NamedTuple):
@@ -211,7 +214,10 @@ def _judged(number: int, block: Block, group: Group, discrete: bool) -> Cluster:
             moved = _moved(group, np.abs(block.matrix))
             clear = moved <= rounding(block.norm, len(block.T), 1.0)
     spread = radius if single else _reach(T, radius)
-    return Cluster(number, group.members, point, side, single, defective, bool(clear), spread)
+    share = np.abs((group.basis * group.dual.T).sum(axis=1))
+    return Cluster(
+        number, group.members, point, side, single, defective, bool(clear), spread, share
+    )
 
 
 def _is_single(N: np.ndarray, radius: float) -> bool:

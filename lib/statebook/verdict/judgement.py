@@ -93,7 +93,7 @@ def judge(
             f" tolerance, {tolerance:.2g}, a perturbation as small as rounding could change the"
             " verdict, and it is a best guess."
         )
-    shares = _participations(A, blocks)
+    shares = _participations(blocks, found)
     return Judgement(verdict, reason, values, shares, size, tolerance, doubt, tuple(jordan))
 
 
@@ -168,19 +168,17 @@ def _whole_rounding(
     return size[np.concatenate([block.index for block in blocks])]
 
 
-def _participations(A: np.ndarray, blocks: list[Block]) -> np.ndarray:
-    """Share abs(w_k v_k) of state k in each mode; w and v its left and right eigenvectors."""
-    T, Q, _ = assemble(A, blocks)
-    if len(blocks) == 1:
-        right, dual = blocks[0].modes
-        left = dual.conj().T
-    else:
-        _, left, right = scipy.linalg.eig(T, left=True, right=True)
-    products = np.abs((Q @ left) * (Q @ right))
-    # In a long Jordan chain the products underflow; each mode then counts as its block's own.
-    if not products.any(axis=0).all():
-        own = scipy.linalg.block_diag(*[np.ones(block.T.shape) for block in blocks])
-        products = np.where(products.any(axis=0), products, own)
-    shares = np.empty_like(products)
-    shares[np.concatenate([block.index for block in blocks])] = products
-    return shares / shares.sum(axis=0)
+def _participations(blocks: list[Block], found: list[Cluster]) -> np.ndarray:
+    """Share abs(w_k v_k) of state k in each mode; w and v its left and right eigenvectors.
+
+    Where v and w of the whole matrix meet, in the mode's own block, they are the block's. Of a
+    cluster it is the share in the invariant subspace, the diagonal of the spectral projector.
+    """
+    products = []
+    for block in blocks:
+        right, dual = block.modes
+        products.append(np.abs((block.Q @ right) * (dual @ block.Q.conj().T).T))
+    for cluster in found:
+        products[cluster.block][:, cluster.members] = cluster.share[:, None]
+    shares = scipy.linalg.block_diag(*[product / product.sum(axis=0) for product in products])
+    return shares[np.argsort(np.concatenate([block.index for block in blocks]))]
