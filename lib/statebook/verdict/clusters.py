@@ -132,9 +132,11 @@ def separated(block: Block, tol: float, margins: np.ndarray) -> tuple[np.ndarray
             nearest & blurred[:, None], directed=False
         )
         joined = [np.flatnonzero(labels == label) for label in range(count)]
+        known = {
+            members[i].tobytes(): pair for i, pair in enumerate(zip(bases, parts, strict=True))
+        }
         members = [np.sort(np.concatenate([members[i] for i in part])) for part in joined]
-        kept = ((bases[i], parts[i]) if not rest else None for i, *rest in joined)
-        new = [pair or _invariant(block, m) for pair, m in zip(kept, members, strict=True)]
+        new = [_invariant(block, m, known) for m in members]
         bases, parts = map(list, zip(*new, strict=True))
         places = np.cumsum([len(m) for m in members])[:-1]
         duals = np.split(inverse(np.hstack(bases)), places)
@@ -151,8 +153,20 @@ def separated(block: Block, tol: float, margins: np.ndarray) -> tuple[np.ndarray
     return radius, groups
 
 
-def _invariant(block: Block, members: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _invariant(
+    block: Block, members: np.ndarray, known: dict[bytes, tuple[np.ndarray, np.ndarray]]
+) -> tuple[np.ndarray, np.ndarray]:
     """Orthonormal basis of the invariant subspace of some eigenvalues, and T on it."""
+    key = members.tobytes()
+    if key not in known:
+        # A real matrix has its conjugate pairs side by side; with one subspace the other is known.
+        mirrored = members + np.sign(block.T.diagonal()[members].imag).astype(int)
+        pair = known.get(np.sort(mirrored).tobytes()) if np.isrealobj(block.matrix) else None
+        known[key] = (pair[0].conj(), pair[1].conj()) if pair else _orthonormal(block, members)
+    return known[key]
+
+
+def _orthonormal(block: Block, members: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     p = len(members)
     if p == len(block.T):
         return block.Q, block.T
@@ -235,24 +249,25 @@ def _is_single(N: np.ndarray, radius: float) -> bool:
         lu, pivots, _ = scipy.linalg.lapack.zgetrf(N)
         pivot = lu.diagonal()
         np.fill_diagonal(lu, np.where(np.abs(pivot) > 1e-3 * radius, pivot, 1e-3 * radius))
-        x, found = start[:n], np.zeros((n, 0))
+        x, chain, k = start[:n], np.zeros((n, n), complex, order="F"), 0
         for adjoint in (2, 0, 2):
             x, _ = scipy.linalg.lapack.zgetrs(lu, pivots, x / np.linalg.norm(x), trans=adjoint)
         # A null vector of N, then those of what N is across the ones before: its chain.
-        while found.shape[1] < n:
+        while k < n:
+            found = chain[:, :k]
             x, _ = scipy.linalg.lapack.zgetrs(lu, pivots, x / np.linalg.norm(x))
             for _ in range(2):
-                x = x - found @ (found.conj().T @ x)
+                x = x - found @ (x.conj() @ found).conj()
             x /= np.linalg.norm(x)
             rest = N @ x
-            rest = np.linalg.norm(rest - found @ (found.conj().T @ rest))
+            rest = np.linalg.norm(rest - found @ (rest.conj() @ found).conj())
             # A chain's errors add up: a new start costs less than they would.
-            if rest > (0.03 * radius if found.size else radius):
+            if rest > (0.03 * radius if k else radius):
                 break
-            found = np.column_stack([found, x])
-        if not found.size:
+            chain[:, k], k = x, k + 1
+        if k == 0:
             return False
-        across = np.linalg.qr(found, mode="complete")[0][:, found.shape[1] :]
+        across = np.linalg.qr(chain[:, :k], mode="complete")[0][:, k:]
         N = across.conj().T @ N @ across
     return True
 
