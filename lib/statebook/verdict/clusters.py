@@ -61,13 +61,15 @@ class Group(NamedTuple):
     """Eigenvalues of a block that rounding keeps apart from all others.
 
     Their places in its Schur form, a basis of their invariant subspace, the rows that project
-    on it, T on it, and the size of perturbations of T that rounding amounts to.
+    on it, T on it, the norm of the projector, and the size of perturbations of T that rounding
+    amounts to.
     """
 
     members: np.ndarray
     basis: np.ndarray
     dual: np.ndarray
     T: np.ndarray
+    sensitivity: float
     radius: float
 
 
@@ -115,7 +117,7 @@ def separated(block: Block, tol: float, margins: np.ndarray) -> tuple[np.ndarray
     # Where eigenvectors are parallel their inverse is huge: its square must not overflow.
     sensitivity = np.linalg.norm(np.minimum(np.abs(dual), 1e100), axis=1)
     radius = min(n, 2) * tol * sensitivity
-    means, reach = values, n * radius
+    means, reach, spread = values, n * radius, np.zeros(n)
     members = [np.array([i]) for i in range(n)]
     bases, duals = np.hsplit(block.Q @ vectors, n), np.vsplit(dual @ block.Q.conj().T, n)
     parts = np.hsplit(values[None], n)
@@ -128,9 +130,9 @@ def separated(block: Block, tol: float, margins: np.ndarray) -> tuple[np.ndarray
         # Of two that meet, the more sensitive one is joined with what is nearest to it.
         blurred = (meet & (sensitivity[:, None] >= sensitivity)).any(axis=1)
         nearest = distance <= _AS_NEAR * distance.min(axis=1, keepdims=True)
-        count, labels = scipy.sparse.csgraph.connected_components(
-            nearest & blurred[:, None], directed=False
-        )
+        # What lies within a group can never be kept apart from it.
+        links = (nearest & blurred[:, None]) | (distance <= spread[:, None])
+        count, labels = scipy.sparse.csgraph.connected_components(links, directed=False)
         joined = [np.flatnonzero(labels == label) for label in range(count)]
         known = {
             members[i].tobytes(): pair for i, pair in enumerate(zip(bases, parts, strict=True))
@@ -139,9 +141,11 @@ def separated(block: Block, tol: float, margins: np.ndarray) -> tuple[np.ndarray
         new = [_invariant(block, m, known) for m in members]
         bases, parts = map(list, zip(*new, strict=True))
         places = np.cumsum([len(m) for m in members])[:-1]
-        duals = np.split(inverse(np.hstack(bases)), places)
+        whole = bases[0].conj().T if count == 1 else inverse(np.hstack(bases))
+        duals = np.split(whole, places)
         sensitivity = np.array([spectral_norm(dual) for dual in duals])
         means = np.array([T.diagonal().mean() for T in parts])
+        spread = np.array([_spread(T) for T in parts])
         sizes = 2 * count * tol * sensitivity
         reach = np.array([_reach(*pair) for pair in zip(parts, sizes, strict=True)])
     groups = []
@@ -149,7 +153,7 @@ def separated(block: Block, tol: float, margins: np.ndarray) -> tuple[np.ndarray
         place, size = group[0], float(min(len(members), 2) * tol * group[-1])
         radius[place] = size
         if len(place) > 1 or margins[place[0]] <= size:
-            groups.append(Group(*group[:-1], size))
+            groups.append(Group(*group, size))
     return radius, groups
 
 
@@ -185,12 +189,13 @@ def _reach(T: np.ndarray, size: float) -> float:
     most the sum of ``norm(U)^l / d^(l + 1)`` over l < p.
     """
     p = len(T)
-    if p == 1:
-        return size
-    diagonal = T.diagonal()
     share = 1 / (np.arange(p) + 1)
     terms = (p * size) ** share * scipy.linalg.norm(np.triu(T, 1)) ** (1 - share)
-    return float(np.abs(diagonal - diagonal.mean()).max() + terms.max())
+    return _spread(T) + float(terms.max())
+
+
+def _spread(T: np.ndarray) -> float:
+    return float(np.abs(T.diagonal() - T.diagonal().mean()).max())
 
 
 def _leading(block: Block, members: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -284,7 +289,7 @@ def _moved(group: Group, size: np.ndarray) -> float:
 
 def _blur(block: Block, group: Group, discrete: bool) -> float:
     """What rounding does to the mean of a group as a rule, errors being random."""
-    moved = min(_moved(group, block.size), block.norm * spectral_norm(group.dual))
+    moved = min(_moved(group, block.size), block.norm * group.sensitivity)
     return rounding(max(moved, 1.0) if discrete else moved, len(block.T), block.precision)
 
 

@@ -76,13 +76,14 @@ def judge(
         verdict = UNSTABLE if jordan else MARGINALLY_STABLE
     else:
         verdict = ASYMPTOTICALLY_STABLE
-        if check_distance and (doubt or len(blocks) > 1):
-            # Beyond what the clusters prove, the distance to instability decides.
+        # Beyond what the clusters prove, unless one is all, the distance to instability decides.
+        part_of_it = len(blocks) > 1 or (doubt and len(found[0].members) < len(A))
+        if check_distance and part_of_it:
             doubt = any(
                 all(is_near_boundary(*one) for one in _in_best_units(A, part, discrete, precision))
                 for part in weak_components(A, blocks)
             )
-            tolerance = max(tolerance, size) if doubt else tolerance
+        tolerance = max(tolerance, size) if doubt and check_distance else tolerance
     if not doubt and size != 0:
         tolerance = min(tolerance, abs(size))  # the sign is certain, however loose the bound
     there = np.array(jordan) if jordan else values[margins == size]
