@@ -121,6 +121,7 @@ def separated(block: Block, tol: float, margins: np.ndarray) -> tuple[np.ndarray
     members = [np.array([i]) for i in range(n)]
     bases, duals = np.hsplit(block.Q @ vectors, n), np.vsplit(dual @ block.Q.conj().T, n)
     parts = np.hsplit(values[None], n)
+    known = dict(zip(map(bytes, members), zip(bases, parts, strict=True), strict=True))
     while True:
         distance = np.abs(means[:, None] - means)
         np.fill_diagonal(distance, np.inf)
@@ -134,15 +135,10 @@ def separated(block: Block, tol: float, margins: np.ndarray) -> tuple[np.ndarray
         links = (nearest & blurred[:, None]) | (distance <= spread[:, None])
         count, labels = scipy.sparse.csgraph.connected_components(links, directed=False)
         joined = [np.flatnonzero(labels == label) for label in range(count)]
-        known = {
-            members[i].tobytes(): pair for i, pair in enumerate(zip(bases, parts, strict=True))
-        }
         members = [np.sort(np.concatenate([members[i] for i in part])) for part in joined]
-        new = [_invariant(block, m, known) for m in members]
-        bases, parts = map(list, zip(*new, strict=True))
-        places = np.cumsum([len(m) for m in members])[:-1]
+        bases, parts = map(list, zip(*(_invariant(block, m, known) for m in members), strict=True))
         whole = bases[0].conj().T if count == 1 else inverse(np.hstack(bases))
-        duals = np.split(whole, places)
+        duals = np.split(whole, np.cumsum([len(m) for m in members])[:-1])
         sensitivity = np.array([spectral_norm(dual) for dual in duals])
         means = np.array([T.diagonal().mean() for T in parts])
         spread = np.array([_spread(T) for T in parts])
@@ -161,11 +157,11 @@ def _invariant(
     block: Block, members: np.ndarray, known: dict[bytes, tuple[np.ndarray, np.ndarray]]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Orthonormal basis of the invariant subspace of some eigenvalues, and T on it."""
-    key = members.tobytes()
+    key = bytes(members)
     if key not in known:
         # A real matrix has its conjugate pairs side by side; with one subspace the other is known.
         mirrored = members + np.sign(block.T.diagonal()[members].imag).astype(int)
-        pair = known.get(np.sort(mirrored).tobytes()) if np.isrealobj(block.matrix) else None
+        pair = known.get(bytes(np.sort(mirrored))) if np.isrealobj(block.matrix) else None
         known[key] = (pair[0].conj(), pair[1].conj()) if pair else _orthonormal(block, members)
     return known[key]
 

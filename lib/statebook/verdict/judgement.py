@@ -11,6 +11,7 @@ from statebook.verdict.blocks import (
     EPS,
     Block,
     assemble,
+    balanced,
     decompose,
     rounding,
     spectral_norm,
@@ -77,8 +78,7 @@ def judge(
     else:
         verdict = ASYMPTOTICALLY_STABLE
         # Beyond what the clusters prove, unless one is all, the distance to instability decides.
-        part_of_it = len(blocks) > 1 or (doubt and len(found[0].members) < len(A))
-        if check_distance and part_of_it:
+        if check_distance and (len(blocks) > 1 or (doubt and len(found[0].members) < len(A))):
             doubt = any(
                 all(is_near_boundary(*one) for one in _in_best_units(A, part, discrete, precision))
                 for part in weak_components(A, blocks)
@@ -151,8 +151,7 @@ def _in_best_units(
     if len(blocks) > 1:
         B = with_comparable_couplings(A, blocks, discrete)
         index = np.concatenate([block.index for block in blocks])
-        balanced = scipy.linalg.matrix_balance(A[np.ix_(index, index)])[0]
-        candidates = [np.triu(Q.conj().T @ B @ Q), balanced]
+        candidates = [np.triu(Q.conj().T @ B @ Q), balanced(A[np.ix_(index, index)], permute=1)[0]]
     floor = 1.0 if discrete else 0.0
     radii = (rounding(max(spectral_norm(B), floor), len(B), precision) for B in candidates)
     return [(B, discrete, radius) for B, radius in zip(candidates, radii, strict=True)]

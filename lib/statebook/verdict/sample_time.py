@@ -195,8 +195,6 @@ def _product(
 def _candidates(coefficients: np.ndarray) -> list[tuple[float, float]]:
     """Real roots, or nearly real ones, as positions in [0, 1] and their uncertainty."""
     size = np.abs(coefficients)
-    if size[0] > 1.01 * size[1:].sum():
-        return []
     kept = coefficients[: np.flatnonzero(size > 1e-3 * _RESOLVED * size.max())[-1] + 1]
     roots = np.polynomial.chebyshev.chebroots(kept).astype(complex)
     near = (np.abs(roots.imag) <= _NEARLY_REAL) & (np.abs(roots.real) <= 1 + _NEARLY_REAL)
