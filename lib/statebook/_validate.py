@@ -57,8 +57,7 @@ def array(name: str, value: Any, shape: tuple[int | None, ...] | None = None) ->
             result = result if result.imag.any() else result.real
     if result.dtype.kind not in "biufc":
         raise TypeError(f"{name} must be an array of numbers, got {value!r}")
-    if result.dtype not in (np.float64, np.complex128):
-        result = result.astype(complex if result.dtype.kind == "c" else float)
+    result = np.asarray(result, dtype=complex if result.dtype.kind == "c" else float)
     if shape is not None and not matches(result.shape, shape):
         wanted = "(" + ", ".join("any" if s is None else str(s) for s in shape)
         wanted += ",)" if len(shape) == 1 else ")"

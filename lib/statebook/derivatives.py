@@ -254,8 +254,7 @@ class _Differentiation:
             measured = (4 / _RADII[-1]) * self._measured_noise(points)[:, None]
             good, err = good_at(np.maximum(rounding, measured))
         if known:
-            if (tiny & good & (part > 0)).any():
-                self.J[here] = np.where(tiny & good, 0.0, self.J[here])
+            self.J[here] = np.where(tiny & good, 0.0, self.J[here])
         else:
             still = change == 0
             self.J[here] = np.where(np.abs(T) <= err, 0.0, T) / s_j
