@@ -177,9 +177,7 @@ def square(name: str, A: Any) -> np.ndarray:
 
 def is_discrete(dt: float | bool | None) -> bool:
     """Whether a timebase is discrete; a negative one is refused."""
-    if dt is None or dt is True:
-        return dt is True
-    return non_negative("dt", dt) > 0
+    return dt is True or (dt is not None and non_negative("dt", dt) > 0)
 
 
 _ROUNDING = 1e-10  # of an entry, once the diagonal is scaled to 1

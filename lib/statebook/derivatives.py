@@ -129,8 +129,7 @@ def differentiate(
     chosen = np.arange(len(z)) if columns is None else np.asarray(columns, dtype=int)
     names = labels or [f"component {j} of (x, u)" for j in range(len(z))]
     with np.errstate(all="ignore"):
-        start = f(z) if f0 is None else f0
-        return _Differentiation(f, names, z, s, chosen, start).result()
+        return _Differentiation(f, names, z, s, chosen, f(z) if f0 is None else f0).result()
 
 
 class _Differentiation:
