@@ -39,8 +39,7 @@ class Checkpoint:
             raise TypeError(f"reduce must be (function, initial), got {reduce!r}")
         self.size = size
         self.fold: Any = reduce and reduce[0]
-        initial = reduce[1] if reduce else 0
-        self.state = 0, initial  # points folded, and their total
+        self.state = 0, reduce[1] if reduce else 0  # points folded, and their total
         self.ready: dict[int, np.ndarray] = {}  # other parts, by their first points
         self.file: Path | None = None
         self.due = 0.0
