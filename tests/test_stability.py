@@ -489,6 +489,7 @@ def test_report_reads_well():
 def test_distance_of_normal_matrices_is_that_of_the_spectrum():
     assert sb.distance_to_instability(normal50(-0.25)) == pytest.approx(0.25, rel=1e-12)
     assert sb.distance_to_instability(0.75 * orthogonal(20, 4), dt=1.0) == pytest.approx(0.25)
+    assert sb.distance_to_instability([[0.0]], dt=True) == 1
 
 
 @pytest.mark.parametrize("c", [0.1, 1.0, 30.0, 1e4])
