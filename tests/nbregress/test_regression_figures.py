@@ -178,8 +178,8 @@ def test_a_line_that_is_flat_but_for_rounding_of_what_is_beside_it(level):
 
 def test_a_change_within_the_tolerance_is_none():
     stored, new = summarize(np.sin(T)), summarize(np.sin(T) * 1.0003)
-    assert difference(stored, new, rtol=1e-5, atol=0.0)
-    assert not difference(stored, new, rtol=1e-3, atol=0.0)
+    assert difference(stored, new, rtol=1e-5, atol=1e-12)
+    assert not difference(stored, new, rtol=1e-3, atol=1e-12)
 
 
 @pytest.mark.parametrize(
