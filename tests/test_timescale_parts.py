@@ -78,6 +78,7 @@ def test_the_profile_in_time_solves_its_differential_equation(curvature: float) 
         grid,
         np.array([0.0, 2.0, 1.0]),
         np.array([2.0, 1.0, 0.0]),
+        np.array([2.0, -1.0, -1.0]),
         np.full(3, curvature),
         np.zeros((2, 3, 2)),
     )

@@ -1,7 +1,5 @@
 """Evaluate a function over a grid of parameters, on one machine or many."""
 
-from __future__ import annotations
-
 import hashlib
 import importlib
 import inspect
@@ -374,6 +372,5 @@ def _death(grid: Mapping[str, Any], lost: Iterable[int], board: Any, workers: Se
     return (
         f"worker process {who + ' ' if who else ''}died at {', '.join(shown)}: killed, out of"
         " memory or crashed in compiled code; a script must call sweep under if __name__ =="
-        ' "__main__":,'
-        " and executor=ThreadPoolExecutor() keeps all in one process"
+        ' "__main__":, and executor=ThreadPoolExecutor() keeps all in one process'
     )

@@ -81,8 +81,8 @@ def fitted_torques(limit: TorqueLimit, path: Path, tolerance: float) -> TorqueLi
     assert limit.dynamics is not None
     forms = _Forms(limit, path)
     knots, even = path.curve.x, np.linspace(path.s_start, path.s_end, _CELLS + 1)
-    extra = np.concatenate([even, reversals(path)])  # friction jumps where a joint turns, or bends
-    cells = np.sort(np.concatenate([knots, apart(extra, knots)]))
+    turns = reversals(path.curve)  # friction jumps there, or bends
+    cells = np.sort(np.concatenate([knots, apart(np.concatenate([even, turns]), knots)]))
     for _ in range(_ROUNDS):
         found = fit(forms, cells, _DEGREE, tolerance, (0,), stall=_NOISE, floor=1.0)
         knots = found.curve.x

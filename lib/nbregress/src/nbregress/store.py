@@ -112,7 +112,7 @@ def write(nb: Any, path: Path, stored: Any = None) -> bool:
         raise NotebookError("was saved by somebody else while it ran, and stays: run again")
     data = as_written(nb)
     target = path.resolve()
-    beside = target.with_name(f".{os.getpid()}.nbregress")
+    beside = target.with_name(f".{target.name}.{os.getpid()}")
     try:
         mode = 0o644
         if path.exists():
