@@ -315,3 +315,16 @@ def test_the_nearest_on_an_ellipse(a, b, guess):
     root = scipy.optimize.brentq(lambda m: excess(m) - 1, -b * b + 1e-9, 1e6, xtol=1e-14)
     expected = [s * s * g / (s * s + root) for s, g in zip((a, b), guess, strict=True)]
     np.testing.assert_allclose(found.x, expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_what_is_zero_but_for_rounding_is_shown_as_zero(seed):
+    rng = np.random.default_rng(seed)
+    M, x0 = rng.normal(size=(4, 4)), np.array([0.3, 0.0, -1.2, 0.0])
+    found = sb.find_equilibrium(lambda x: M @ np.sin(x) - M @ np.sin(x0), x0 + 0.1)
+    assert repr(found).startswith("Equilibrium(x=[0.3 0 -1.2 0], u=[], isolated")
+
+
+def test_what_is_small_but_no_rounding_stays():
+    found = sb.find_equilibrium(lambda x: [x[0] - 1e-19, 1e-9 * (x[1] - 2)], [0.1, 1.0])
+    assert found.x.tolist() == [1e-19, 2.0]

@@ -111,13 +111,18 @@ def test_bounds_of_zero() -> None:
 
 
 def sampled_use(timed: sb.TimedPath, **bounds: Any) -> float:
-    """Largest use of bounds (dof, 2), functions of s, in the middle of many short times."""
+    """Largest use of bounds (dof, 2), functions of s, in the middle of many short times.
+
+    s is rounded, and steep bounds are given at one of its neighbours.
+    """
     t = np.union1d(timed.times, np.linspace(0, timed.duration, 2000))
     t = (t[1:] + t[:-1]) / 2
     s = timed.progress(t)[0]
     worst = 0.0
     for name, bound in bounds.items():
-        lower, upper = np.moveaxis(np.array([bound(one) for one in s]), 0, -1).swapaxes(0, 1)
+        near = [s, np.nextafter(s, 0.0), np.nextafter(s, 2.0)]
+        every = np.array([[bound(one) for one in places] for places in near])
+        lower, upper = every[..., 0].min(axis=0).T, every[..., 1].max(axis=0).T
         values = getattr(timed, name)(t)
         worst = max(worst, float(np.maximum(values / lower, values / upper).max()))
     return worst

@@ -58,7 +58,7 @@ def test_an_interval_at_the_edge_of_its_inequalities_is_at_its_limit(kind: str, 
     curvature, scale = rng.uniform(-1, 1, count), 10 ** rng.uniform(-2, 2, count)
     rows = stage_rows(limits, grid, curvature, scale, FAR * np.stack([scale, scale]))
     x0, x1, binding = at_the_edge(rows, scale, seed)
-    profile = Profile(grid, x0, x1, curvature, np.zeros((2, count, 2)))
+    profile = Profile(grid, x0, x1, x1 - x0, curvature, np.zeros((2, count, 2)))
     use = limits[0].use(grid, Z, profile.u(Z), profile.x(Z))
     highest = use.max(axis=(0, 2))
     assert highest.max() <= 1 + (1e-6 if kind == "torque" else 1e-12)
@@ -154,7 +154,7 @@ def straight(intervals: int, speed: np.ndarray) -> tuple[list[Limit], Profile]:
     sets = np.zeros((2, intervals, 2))
     sets[1] = np.stack([edge[:-1], edge[1:]], axis=1)
     limits = kinematic_limits(None, 1.0, None, LINE)
-    return limits, Profile(grid, x0, x1, np.zeros(intervals), sets)
+    return limits, Profile(grid, x0, x1, x1 - x0, np.zeros(intervals), sets)
 
 
 def test_the_fastest_profile_is_not_refined_and_a_slow_one_is() -> None:

@@ -1,7 +1,5 @@
 """What a solver knows between the ends of its steps, and the samples taken from it."""
 
-from __future__ import annotations
-
 import bisect
 from dataclasses import dataclass, replace
 from typing import Any
@@ -112,11 +110,6 @@ class Steps:
         self.settle()
         before = np.concatenate(self.samples, axis=-1)[..., :count]
         self.samples, self.taken = [before, self.state[..., None]], count + 1
-
-    def taken_samples(self) -> tuple[np.ndarray, np.ndarray]:
-        """The times of the samples so far, and the states there."""
-        states = np.concatenate(self.samples, axis=-1)
-        return self.shown[: states.shape[-1]], states
 
     def settle(self) -> DenseOutput | None:
         """Take the samples within the steps; return the dense output of the run, if it has one."""

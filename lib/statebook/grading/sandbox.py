@@ -71,9 +71,8 @@ class Apart:
         try:
             packed = io.BytesIO()
             table = ChainMap({_CACHED: _uncached}, cloudpickle.Pickler.dispatch_table)
-            type("Pickler", (cloudpickle.Pickler,), {"dispatch_table": table})(packed).dump(
-                function
-            )
+            pickler = type("Pickler", (cloudpickle.Pickler,), {"dispatch_table": table})
+            pickler(packed).dump(function)
             self._packed = packed.getvalue()
         except Exception as error:
             raise AnswerError(
@@ -184,7 +183,8 @@ def as_array(value: Any) -> np.ndarray:
     many = value.size if isinstance(value, np.ndarray) else len(value) if sized else 0
     if many > MOST:
         raise AnswerError(f"an answer has {MOST} entries at most, got {many}")
-    return np.array(value)
+    array = np.array(value)
+    return array.real if array.dtype.kind == "c" and not array.imag.any() else array
 
 
 def kind(value: Any) -> str:

@@ -146,9 +146,9 @@ def take(
 
     def mixture(logarithm: float) -> Profile:
         part = np.exp(logarithm)
-        ends = ((slow.x0, profile.x0), (slow.x1, profile.x1))
-        x0, x1 = ((1 - part) * a + part * b for a, b in ends)
-        return replace(profile, x0=x0, x1=x1)
+        names = ("x0", "x1", "rise")
+        mixed = {n: (1 - part) * getattr(slow, n) + part * getattr(profile, n) for n in names}
+        return replace(profile, **mixed)
 
     def late(logarithm: float) -> float:
         return float(np.log(mixture(logarithm).duration / wanted))

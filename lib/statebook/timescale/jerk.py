@@ -130,7 +130,7 @@ class JerkProfile(Profile):
 
     def take(self, index: np.ndarray) -> JerkProfile:
         """Return the intervals of an index as a profile of their own."""
-        names = "x0", "x1", "curvature", "rest"
+        names = "x0", "x1", "rise", "curvature", "rest"
         parts = {name: getattr(self, name)[index] for name in names}
         sets = self.controllable[:, index]
         return replace(self, grid=self.grid.part(index), controllable=sets, **parts)

@@ -249,12 +249,14 @@ def _profile(task: Task, stretch: Stretch, motion: Motion) -> JerkProfile:
     bulge = np.where(rest == 0, np.diff(motion.r) * np.diff(motion.u), 0.0)
     grid, sets = stretch.grid(motion.r), np.zeros((2, len(rest), 2))
     curvature = 2 * bulge / (x[:-1] + x[1:])
-    return JerkProfile(grid, x[:-1], x[1:], curvature, sets, rest, task.lower, task.upper)
+    return JerkProfile(
+        grid, x[:-1], x[1:], np.diff(x), curvature, sets, rest, task.lower, task.upper
+    )
 
 
 def _joined(profiles: list[JerkProfile], free: Profile) -> JerkProfile:
     """Join the profiles of all sections; what is controllable is so without limits on jerk."""
-    names = "x0", "x1", "curvature", "rest"
+    names = "x0", "x1", "rise", "curvature", "rest"
     parts = {name: np.concatenate([getattr(one, name) for one in profiles]) for name in names}
     cuts = np.cumsum([0, *(len(one.rest) for one in profiles)]).tolist()
     sections = tuple(

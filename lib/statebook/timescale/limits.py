@@ -19,6 +19,7 @@ from statebook.timescale.path import Path
 Terms = tuple[Any, np.ndarray, Any]  # a number stands for an array of it
 SIDES = 32  # of the polygon in the half-disc of a norm
 _THIRDS = np.linspace(0, 1, 4)
+_ROUNDING = 1e-13  # part of the largest slope that is none
 DENSE = 5  # points per interval at which torques are looked at
 
 
@@ -106,7 +107,7 @@ class Limit(ABC):
         scale: Any = self.scale
         if self.squared:
             bound = self.squared_bounds(grid, z, lambda values: values[None])
-            scale = np.maximum(np.broadcast_to(bound, (1, *b.shape))[0], 1e-300)
+            scale = np.clip(np.broadcast_to(bound, (1, *b.shape))[0], 1e-300, 1e300)
             lower, upper = -np.inf, scale
         elif self.norm:
             a, b = polygon(a, b)
@@ -259,7 +260,8 @@ class VelocityLimit(Limit):
         if np.array_equal(upper, lower):
             return np.asarray(upper)
         slope = transform(self.motion(grid, z, 1))
-        forward, backward = (slope >= 0).all(axis=0), (slope <= 0).all(axis=0)
+        none = _ROUNDING * np.abs(slope).max(axis=(0, 1))
+        forward, backward = (slope >= -none).all(axis=0), (slope <= none).all(axis=0)
         return np.where(forward, upper, np.where(backward, lower, np.minimum(upper, lower)))
 
 
@@ -368,5 +370,5 @@ def _one_sided(slope: np.ndarray, middle: np.ndarray) -> np.ndarray:
     middle (N, dof) is the slope there; no joint turns back inside.
     """
     largest = np.abs(slope).max(axis=(0, 1))
-    sign = np.where(np.abs(slope).max(axis=0) > 1e-13 * largest, np.sign(middle), 0.0)
+    sign = np.where(np.abs(slope).max(axis=0) > _ROUNDING * largest, np.sign(middle), 0.0)
     return sign * np.maximum(sign * slope, 1e-12 * largest)

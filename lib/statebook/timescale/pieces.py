@@ -128,7 +128,8 @@ def _without_rounding(
     slopes = (powers * moves / width[:, None]).max(axis=0)
     largest = slopes.max(axis=0)
     size = np.abs(c[-1]).max(axis=0)
-    none, moved = _ROUNDING * (size + largest * width.sum()), moves[:-1].sum(axis=0)
+    moved = moves[:-1].sum(axis=0)
+    none = _ROUNDING * (size + moved.max(axis=0))
     still = moved <= none
     # Where some joint moves: of the whole piece of the curve; in a short part all moves are small.
     first = np.flatnonzero(np.diff(source, prepend=-1))

@@ -71,6 +71,7 @@ class Profile:
     grid: Grid
     x0: np.ndarray
     x1: np.ndarray
+    rise: np.ndarray  # x1 - x0, which would be rounding on very short intervals
     curvature: np.ndarray
     controllable: np.ndarray  # (2, N, 2): lowest and highest, interval, left and right end
 
@@ -101,7 +102,7 @@ class Profile:
 
     def u(self, z: np.ndarray) -> np.ndarray:
         """Return s'' at fractions z (K,) of the intervals, shape (K, N)."""
-        return (self.x1 - self.x0 - self.bulge * (1 - 2 * z[:, None])) / (2 * self.grid.h)
+        return (self.rise - self.bulge * (1 - 2 * z[:, None])) / (2 * self.grid.h)
 
     def time_at(self, interval: np.ndarray, z: np.ndarray) -> np.ndarray:
         """Return the times at fractions z (M,) of intervals (M,)."""
@@ -133,7 +134,7 @@ class Profile:
     @cached_property
     def _first_u(self) -> np.ndarray:
         """The rate s'' at the left ends of the intervals."""
-        return (self.x1 - self.x0 - self.bulge) / (2 * self.grid.h)
+        return (self.rise - self.bulge) / (2 * self.grid.h)
 
     @cached_property
     def _rate(self) -> np.ndarray:
@@ -158,7 +159,8 @@ class Profile:
 
     def slower(self: Kind, factor: float) -> Kind:
         """Return the profile of the same motion that takes factor times as long."""
-        return replace(self, x0=self.x0 / factor**2, x1=self.x1 / factor**2)
+        squares = {name: getattr(self, name) / factor**2 for name in ("x0", "x1", "rise")}
+        return replace(self, **squares)
 
 
 _HIGHEST = 30  # degree of polynomials in powers of time whose coefficients are not rounding

@@ -16,11 +16,11 @@ from statebook.errors import InfeasiblePathError
 from statebook.timescale.bounds import require_joints
 from statebook.timescale.ceiling import ceiling
 from statebook.timescale.ends import Pauses, read_dwell, speed_at_end, take
-from statebook.timescale.friction import at_rest, rests, settle
+from statebook.timescale.friction import at_rest, rests, reversals, settle
 from statebook.timescale.grid import Grid, lay_grid
 from statebook.timescale.jerk import read_jerk, stop_at_bends
 from statebook.timescale.jerk_search import limit_jerk
-from statebook.timescale.limits import Limit, TorqueLimit, blocked, kinematic_limits
+from statebook.timescale.limits import Limit, TorqueLimit, VelocityLimit, blocked, kinematic_limits
 from statebook.timescale.path import Path
 from statebook.timescale.profile import Profile, audit
 from statebook.timescale.rows import MARGIN
@@ -154,6 +154,10 @@ def time_scale(
         )
     cuts = [curve.x for limit in limits for curve in (limit.along, limit.curve) if curve]
     cuts += [limit.fitted.x for limit in limits if isinstance(limit, TorqueLimit)]
+    if jerk is None:  # with it, a cut where nothing moves would be a rest
+        speeds = [one for one in limits if isinstance(one, VelocityLimit)]
+        skew = [one for one in speeds if not np.array_equal(one.upper, -one.lower)]
+        cuts += [reversals(one.curve or path.curve) for one in skew]
     halts = path.waypoint_s[pauses > 0]
     dry = [one for one in limits if isinstance(one, TorqueLimit) and one.friction[0]]
     laid = partial(lay_grid, path, start_speed, end_speed, _COARSE, halts=halts)
@@ -253,27 +257,28 @@ def _check_place(grid: Grid, limits: Sequence[Limit], s: float, cause: str, spee
 
 def _within_limits(limits: Sequence[Limit], profile: Profile) -> Profile:
     """Audit the profile; slow it down by the rounding that is left, leave more room for torques."""
-    if not any(isinstance(limit, TorqueLimit) for limit in limits):
-        for attempt in range(PASSES):  # on very short intervals the rounding is another each time
-            factor = max(use.factor for use in audit(profile, limits))
-            if factor <= 1:
-                break
-            profile = profile.slower(factor * (1 + _ROUNDING * 10**attempt))
-        return profile
+    loaded = any(isinstance(limit, TorqueLimit) for limit in limits)
     for attempt in range(PASSES):
-        excess = audit(profile, limits).worst.use - 1
-        if excess <= MARGIN:
+        uses = audit(profile, limits)
+        excess = uses.worst.use - 1
+        if excess <= MARGIN * loaded:
             return profile
-        if attempt:  # polynomials miss the torques, or a tool, by more than was seen
-            limits = [
-                replace(one, margin=one.margin + 2 * excess)
-                if isinstance(one, TorqueLimit) or one.slip is not None
-                else one
-                for one in limits
-            ]
-        grid = profile.grid
-        profile = solve(limits, grid, profile.curvature, ceiling(limits, grid).x)
+        if loaded:
+            if attempt:  # polynomials miss the torques, or a tool, by more than was seen
+                limits = [
+                    replace(one, margin=one.margin + 2 * excess)
+                    if isinstance(one, TorqueLimit) or one.slip is not None
+                    else one
+                    for one in limits
+                ]
+            grid = profile.grid
+            profile = solve(limits, grid, profile.curvature, ceiling(limits, grid).x)
+        else:  # on very short intervals the rounding is another each time
+            factor = max(use.factor for use in uses)
+            profile = profile.slower(factor ** (1 + attempt) * (1 + _ROUNDING))
     worst = audit(profile, limits).worst
+    if worst.use <= 1 + MARGIN:
+        return profile
     raise InfeasiblePathError(
         f"the {worst.limit} of row {worst.row} could not be kept within its limit at s = "
         f"{worst.s:.6g}: it jumps there, or changes too fast",

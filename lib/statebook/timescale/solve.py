@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,7 +21,11 @@ _PARTS = 4  # an interval is split into at most so many
 
 
 def refine(
-    limits: Sequence[Limit], profile: Profile, least: np.ndarray, stuck: bool = False
+    limits: Sequence[Limit],
+    profile: Profile,
+    least: np.ndarray,
+    stuck: bool = False,
+    narrow: bool = False,
 ) -> tuple[Grid, np.ndarray]:
     """Split the intervals where time is lost, or not known not to be.
 
@@ -34,6 +39,8 @@ def refine(
         Times of the intervals that no motion is below.
     stuck : bool
         Whether no motion was found on the grid: then all intervals are split.
+    narrow : bool
+        Whether only those are split where the motion has to be slow.
 
     Returns
     -------
@@ -47,10 +54,10 @@ def refine(
     lost = np.maximum(times * np.clip(1 - use, 0, 1).mean(axis=0), times - least)
     allowed = max(float(lost.sum()), 1e-12 * profile.duration) / (_GAIN * len(lost))
     parts = np.clip(np.ceil(np.sqrt(lost / allowed)), 1 + stuck, _PARTS).astype(int)
-    parts[_bottlenecks(profile)] = _PARTS
+    parts = np.where(_bottlenecks(profile), _PARTS, 1 if narrow else parts)
     grid, parent, left, right = profile.grid.split(parts)
     z = left + np.multiply.outer(_ENDS, right - left)
-    bend, chord = profile.bulge[parent], (profile.x1 - profile.x0)[parent]
+    bend, chord = profile.bulge[parent], profile.rise[parent]
     x = np.maximum(profile.x0[parent] + chord * z - bend * z * (1 - z), 0.0)
     u = (chord - bend * (1 - 2 * z)) / (2 * profile.grid.h[parent])
     mean = np.maximum((x[0] + x[2]) / 2, 1e-300)
@@ -90,7 +97,7 @@ def _slopes(profile: Profile) -> tuple[np.ndarray, np.ndarray]:
     At the ends of a section both are the one there is; 0 if there is none.
     """
     grid = profile.grid
-    u = (profile.x1 - profile.x0) / (2 * grid.h)
+    u = profile.rise / (2 * grid.h)
     slope = np.diff(u) / ((grid.h[1:] + grid.h[:-1]) / 2)
     before, after = np.append(0.0, slope), np.append(slope, 0.0)
     for part in grid.sections:
@@ -128,29 +135,53 @@ def fastest(limits: Sequence[Limit], grid: Grid, tolerance: float) -> tuple[Prof
     _require_bounded(limits, grid)
     rows = sum(2 * len(limit.upper) * (limit.degree(grid) + 1) for limit in limits)
     curvature = np.zeros(len(grid.h))
-    best, least = None, 0.0
+    best, least, tries = None, 0.0, 0
     work = _WORK * max(len(grid.h), _SMALLEST)
     while True:
         top = ceiling(limits, grid)
         least = max(least, top.duration)
+        guide: Profile | None
         try:
             guide = solve(limits, grid, curvature, top.x)
             if best is None or guide.duration < best.duration:
                 best = guide
         except StuckError:
-            if best is None and (len(grid.h) > _SEARCH or not top.possible):
+            guide = _without_start(limits, grid, curvature, top.x)
+            tries += guide is not None
+            over = work < 0 if guide else len(grid.h) > _SEARCH
+            if best is None and (over or not top.possible):
                 fine, parent, *_ = grid.split(np.full(len(grid.h), max(_NAMED // len(grid.h), 1)))
                 flat = np.zeros(len(fine.h))
                 solve(limits, fine, flat, top.x[:, parent], every_row=True)  # raises what is named
                 raise
+        stuck = best is None and guide is None
+        if guide is None:
             x = np.maximum(top.x, 1e-300)
-            guide = Profile(grid, x[0], x[1], np.zeros(len(grid.h)), np.stack([0 * x.T, x.T]))
+            sets = np.stack([0 * x.T, x.T])
+            guide = Profile(grid, x[0], x[1], x[1] - x[0], np.zeros(len(grid.h)), sets)
         work -= len(grid.h) * (_OVERHEAD + rows)
         if best is not None and least >= best.duration * (1 - tolerance):
             return best, least
-        grid, curvature = refine(limits, guide, top.times, stuck=best is None)
+        grid, curvature = refine(limits, guide, top.times, stuck, best is None and tries % 3 > 0)
         if best is not None and len(grid.h) * (_OVERHEAD + rows) > work:
             return best, least
+
+
+def _without_start(
+    limits: Sequence[Limit], grid: Grid, curvature: np.ndarray, top: np.ndarray
+) -> Profile | None:
+    """Return the fastest motion that begins no faster than it must, None if there is none.
+
+    If there is, the grid is too coarse for the speed that is given.
+    """
+    free = [
+        part._replace(start=part.start and None, end=part.end and None) for part in grid.sections
+    ]
+    try:
+        found = solve(limits, replace(grid, sections=tuple(free)), curvature, top)
+        return replace(found, grid=grid)
+    except StuckError:
+        return None
 
 
 def solve(

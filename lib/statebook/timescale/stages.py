@@ -107,7 +107,7 @@ def fastest_profile(
     floors = slowest or any(limit.kind == "torque" for limit in limits)
     stages = _Stages(_stage_solver(rows), scale.tolist(), rows.step.tolist(), top.tolist())
     sets = np.zeros((2, len(scale), 2))
-    x = np.zeros((2, len(scale)))
+    x0, x1, rise = x = np.zeros((3, len(scale)))
     for section in grid.sections:
         try:
             found = stages.controllable(section, floors, margin)
@@ -117,7 +117,7 @@ def fastest_profile(
         except StuckError as stuck:
             stuck.grid, stuck.rows, stuck.reach = grid, rows, sets[1].max(axis=1)
             raise
-    return Profile(grid, x[0], x[1], curvature, sets)
+    return Profile(grid, x0, x1, rise, curvature, sets)
 
 
 class _Stages(NamedTuple):
@@ -182,9 +182,10 @@ class _Stages(NamedTuple):
             w = self.solve(i, None, direction, here, here, *following)[0]
             if w != w:
                 raise StuckError(i, here, following)
-            x[0, i] = speed
-            speed = min(max(speed + w * self.steps[i] * unit, least), most)
-            x[1, i] = speed
+            rise = w * self.steps[i] * unit
+            after = min(max(speed + rise, least), most)
+            x[:, i] = speed, after, rise if after == speed + rise else after - speed
+            speed = after
         if section.end is not None and speed < section.end * (1 - _SAME):
             raise StuckError(i, here, (section.end / unit, section.end / unit))
 

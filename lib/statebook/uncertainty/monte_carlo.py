@@ -1,7 +1,5 @@
 """Many trajectories of one system under independent errors."""
 
-from __future__ import annotations
-
 import functools
 import math
 import os
@@ -195,15 +193,10 @@ def monte_carlo(
     if fold is None:  # of one size: the last block begins early
         firsts[-1] = number - chunk
     blocks = [_Runs(first, start[:, first : first + chunk]) for first in firsts]
+    block, grid = functools.partial(_block, errors, options, statistic), {"runs": blocks}
     with nullcontext(executor) if executor else ThreadPoolExecutor(1) as pool:
         found = sweep(
-            functools.partial(_block, errors, options, statistic),
-            {"runs": blocks},
-            executor=pool,
-            progress=progress,
-            chunk=1,
-            reduce=fold,
-            cache=cache,
+            block, grid, executor=pool, progress=progress, chunk=1, reduce=fold, cache=cache
         )
     if reduce == "moments":
         times, mean, products = found[0], found[2 : known.n + 2], found[known.n + 2 :]
@@ -212,13 +205,10 @@ def monte_carlo(
     if fold is not None:
         return found
     times, states, controls = np.split(found, [count, count * (1 + known.n * chunk)], axis=1)
-    return Trajectory(
-        times[0],
-        _side_by_side(states, firsts, (known.n, chunk, count)),
-        _side_by_side(controls, firsts, (known.m, chunk, count - 1)) if known.m else None,
-        state_labels=known.states,
-        input_labels=known.inputs if known.m else None,
-    )
+    x, u, labels = _side_by_side(states, firsts, (known.n, chunk, count)), None, None
+    if known.m:
+        u, labels = _side_by_side(controls, firsts, (known.m, chunk, count - 1)), known.inputs
+    return Trajectory(times[0], x, u, state_labels=known.states, input_labels=labels)
 
 
 _Errors = tuple[Any, Any, Any, Any]  # system, policy, disturbance, G
@@ -330,7 +320,15 @@ def _disturbed(
 ) -> tuple[System, int]:
     """Return the system with the inputs (u, w), and how many u are."""
     system, policy, disturbance, G = errors
-    system = _viewed(system, start, first[0] if first else policy, bool(first))
+    value, u = first[0] if first else policy, None
+    if isinstance(value, ControlTrajectory):
+        u = np.zeros(value.m)
+    elif value is not None:
+        # One number a trajectory is a single input.
+        single = np.ndim(value) == 0 or (bool(first) and value.shape == start.shape[1:])
+        u = np.zeros(1 if single else len(value))
+    # Of a plain function, the states and a control tell n and m.
+    system = as_system(system, start[:, 0], u, names=("x0", "policy"))
     if len(start) != system.n:
         raise ValueError(
             f"x0 must have shape ({system.n},) or ({system.n}, N), got {len(start)} rows"
@@ -345,18 +343,6 @@ def _disturbed(
     if isinstance(disturbance, HeldNoise):
         _check_noise(disturbance, period, disturbed.m - system.m)
     return disturbed, system.m
-
-
-def _viewed(system: Any, start: np.ndarray, value: Any, asked: bool) -> System:
-    """Return the system; of a plain function, the states and a control tell n and m."""
-    x, u = start[:, 0], None
-    if isinstance(value, ControlTrajectory):
-        u = np.zeros(value.m)
-    elif value is not None:
-        # One number a trajectory is a single input.
-        single = np.ndim(value) == 0 or (asked and value.shape == start.shape[1:])
-        u = np.zeros(1 if single else len(value))
-    return as_system(system, x, u, names=("x0", "policy"))
 
 
 def _check_noise(noise: HeldNoise, period: float, q: int) -> None:

@@ -119,13 +119,19 @@ def _reachability(edges: np.ndarray) -> np.ndarray:
     return reached
 
 
+def balanced(A: np.ndarray, permute: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return A in units in which its rows are as large as its columns, and what LAPACK did."""
+    gebal = scipy.linalg.lapack.zgebal if np.iscomplexobj(A) else scipy.linalg.lapack.dgebal
+    matrix, _, _, scale, _ = gebal(A, scale=1, permute=permute)
+    return matrix, scale
+
+
 def _block(A: np.ndarray, index: np.ndarray, precision: float) -> Block:
     n = len(index)
     A = A[np.ix_(index, index)]
     if n == 1:
         return Block(index, A, A.astype(complex), np.eye(1, dtype=complex), np.ones(1), precision)
-    gebal = scipy.linalg.lapack.zgebal if np.iscomplexobj(A) else scipy.linalg.lapack.dgebal
-    matrix, _, _, scale, _ = gebal(A, scale=1, permute=0)
+    matrix, scale = balanced(A, permute=0)
     if np.iscomplexobj(matrix):
         T, Q = scipy.linalg.schur(matrix, output="complex")
     else:
@@ -135,7 +141,7 @@ def _block(A: np.ndarray, index: np.ndarray, precision: float) -> Block:
         for k in np.flatnonzero(R.diagonal(-1)).tolist()[::-1]:
             a, b, c = R[k, k], R[k, k + 1], R[k + 1, k]
             omega = abs(b) ** 0.5 * abs(c) ** 0.5
-            G = np.array([[-1j * omega, c], [-c, 1j * omega]]) / np.hypot(omega, c)
+            G = np.array([[-1j * omega / c, 1], [-1, 1j * omega / c]]) / np.hypot(omega / c, 1)
             pair = slice(k, k + 2)
             T[pair, k:] = G @ T[pair, k:]
             T[: k + 2, pair] = T[: k + 2, pair] @ G.conj().T
