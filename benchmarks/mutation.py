@@ -57,8 +57,8 @@ START = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() 
 PROCESSES: Any = multiprocessing.get_context(START)
 # Tests of the project, its site and its commands rather than of the packages.
 NOT_UNIT = (
-    *("book", "browser", "build", "house", "interrupted", "lite", "matrix", "package", "run"),
-    "workbook",
+    *("book", "browser", "build", "house", "interrupted", "jupyterlab", "lite", "matrix"),
+    *("package", "run", "site", "speed_page", "workbook"),
 )
 # Makes coverage start in every process that a test starts, and name that test.
 STARTUP = "import coverage; coverage.process_startup()\n"
