@@ -320,7 +320,7 @@ def browser_tools():
 def test(arguments):
     """Run every test; arguments go to pytest."""
     browser_tools()
-    options = ["-n", WORKERS, "--dist", "loadfile", "--nb"]
+    options = ["-n", WORKERS, "--dist", "loadfile", "--no-loadscope-reorder", "--nb"]
     ignored = ["--ignore=" + name for name in notebooks("**/*.ipynb")[1]]
     return run(["-m", "pytest", *options, *ignored, *arguments])
 

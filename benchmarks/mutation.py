@@ -1,20 +1,21 @@
-"""Break the library on purpose, one place at a time, and see who notices.
+"""Break the packages on purpose, one place at a time, and see who notices.
 
-    python benchmarks/mutation.py --count 200 --jobs 2 --work DIR
-    python benchmarks/mutation.py --only 'verdict/*.py' --tests test_stability.py ... --work DIR
+    python benchmarks/mutation.py --work DIR                              150 mutants of all rooms
+    python benchmarks/mutation.py --work DIR --notebooks                  the same, by the chapters
+    python benchmarks/mutation.py --work DIR --only statebook/rates.py:31 all mutants of a line
 
-A seeded sample of mutants (a sign, an operator, a comparison, a constant) over the modules
-below. Each one is run against the unit tests and doctests that reach its line, and against
-the chapters that reach it, as coverage knows them; the two are counted apart. Everything
-happens in copies in DIR, one for each job. Results are in DIR/results.jsonl, one line for each
-mutant, with the hash of the tree: a run that was interrupted goes on where it stopped, and of
-another tree nothing is taken over; --again, after new checks were written, takes over what was
-caught before. A room alone, by its own tests and doctests and without chapters, takes --only
-and --tests.
+A seeded sample of mutants (a sign, an operator, a comparison, a constant), spread over the rooms
+in proportion to their code. Each is run against the unit tests and doctests that reach its line,
+fastest first, until one fails; with --notebooks, against the chapters that reach it. Who reaches
+what is recorded once, under coverage, and again for a test whose file or reach has changed; what
+fails without a mutant is left out. Everything happens in a copy in DIR. Results are in DIR, one
+line for each mutant, with the hash of the tree: a run that was interrupted goes on where it
+stopped. Of another tree, --again takes over what was caught where the mutated file is the same,
+and tries the rest.
 
-The sample depends on the text of the mutated lines alone: the rest of it stays the same while
-code around it changes. Left out are mutants that cannot matter: of `strict=` in zip and of -1
-in reshape, where NumPy takes any negative length.
+Which mutants are drawn depends on the text of their lines alone: the sample stays while code
+around it changes. Left out are mutants that cannot matter: of `strict=` in zip, of -1 in
+reshape, where NumPy takes any negative length, and of the range of a random draw.
 """
 
 from __future__ import annotations
@@ -22,51 +23,54 @@ from __future__ import annotations
 import argparse
 import ast
 import hashlib
-import importlib.metadata
+import importlib.util
 import json
+import multiprocessing
 import os
-import queue
 import re
 import shutil
-import signal
-import subprocess
 import sys
 import time
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections import Counter, defaultdict
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-T = TypeVar("T")
-R = TypeVar("R")
+import coverage
+import psutil
+import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-MODULES = (
-    "models/*.py",
-    "integration.py",
-    "runge_kutta.py",
-    "linearization.py",
-    "equilibrium.py",
-    "derivatives.py",
-    "sampling.py",
-    "simulation.py",
-    "stepping.py",
-    "policies.py",
-    "trajectory.py",
-    "sweeping.py",
-    "controllers/*.py",
-    "uncertainty/*.py",
-    "plotting/*.py",
-    "verdict/*.py",
-    "timescale/*.py",
+PACKAGES = ("lib/statebook", "lib/statebook_exercises", "lib/nbregress/src/nbregress")
+PATHS = ("lib", "lib/nbregress/src", "benchmarks")
+# Each run has a process of its own; where processes can be forked, these are imported before.
+HEAVY = [
+    "scipy.signal",
+    "control",
+    "sympy",
+    "matplotlib.pyplot",
+    "hypothesis",
+    "nbclient",
+    "toppra",
+]
+START = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
+PROCESSES: Any = multiprocessing.get_context(START)
+# Tests of the project, its site and its commands rather than of the packages.
+NOT_UNIT = (
+    *("book", "browser", "build", "house", "interrupted", "lite", "matrix", "package", "run"),
+    "workbook",
 )
-# Tests of the project rather than of the library.
-NOT_UNIT = tuple(f"test_{name}" for name in ("book", "matrix", "package", "run", "workbook"))
-COPIED = (
-    *("lib", "tests", "workbook", "book", "conftest.py", "pyproject.toml", "README.md"),
-    "requirements.txt",
-)
+# Makes coverage start in every process that a test starts, and name that test.
+STARTUP = "import coverage; coverage.process_startup()\n"
+SETTINGS = """[run]
+parallel = true
+data_file = {folder}/data
+include = {copy}/lib/*
+context = ${{REACHED_BY-}}
+disable_warnings = no-data-collected
+"""
+SECONDS: Counter[str] = Counter()
+FAILED: set[str] = set()
 
 BINARY = {
     ast.Add: ("+", "-"),
@@ -88,6 +92,7 @@ COMPARE = {
 def mutants(path: Path, root: Path) -> Iterator[dict[str, Any]]:
     """Every mutant of a file: the place, and the text to put there."""
     source = path.read_text("utf-8")
+    tree = ast.parse(source)
     lines = source.splitlines(keepends=True)
     starts = [0]
     for line in lines:
@@ -106,6 +111,7 @@ def mutants(path: Path, root: Path) -> Iterator[dict[str, Any]]:
         return {
             "file": path.relative_to(root).as_posix(),
             "line": node.lineno,
+            "span": _span(tree, node.lineno),
             "text": text,
             "number": seen[text],
             "start": start,
@@ -118,7 +124,7 @@ def mutants(path: Path, root: Path) -> Iterator[dict[str, Any]]:
         place = source.find(old, start, offset(right.lineno, right.col_offset))
         return mutant(node, place, place + len(old), new)
 
-    for node in _mutable(ast.parse(source)):
+    for node in _mutable(tree):
         here = offset(node.lineno, node.col_offset)
         there = offset(node.end_lineno or 0, node.end_col_offset or 0)
         if isinstance(node, ast.BinOp) and type(node.op) in BINARY:
@@ -142,6 +148,8 @@ def _mutable(tree: ast.AST) -> Iterator[ast.expr]:
     for name, field in ast.iter_fields(tree):
         if name in ("annotation", "returns", "type_params", "decorator_list"):
             continue
+        if name == "args" and _calls(tree, "uniform"):
+            continue
         for node in field if isinstance(field, list) else [field]:
             if not isinstance(node, ast.AST) or isinstance(node, (ast.Raise, ast.JoinedStr)):
                 continue
@@ -156,230 +164,254 @@ def _mutable(tree: ast.AST) -> Iterator[ast.expr]:
             yield from _mutable(node)
 
 
+def _span(tree: ast.AST, line: int) -> list[int]:
+    """Lines of the statement around a line; of a function's head all its lines.
+
+    Outside of functions there are none: that is executed by whoever imports it first.
+    """
+    around = [
+        node
+        for node in ast.walk(tree)
+        if isinstance(node, ast.stmt) and node.lineno <= line <= (node.end_lineno or 0)
+    ]
+    if not any(isinstance(node, ast.FunctionDef) for node in around):
+        return []
+    inner = around[-1]  # the walk goes from without to within
+    last = inner.end_lineno or 0
+    if not isinstance(inner, ast.FunctionDef) and getattr(inner, "body", None):
+        last = max(inner.lineno, inner.body[0].lineno - 1)  # type: ignore[attr-defined]
+    return list(range(inner.lineno, last + 1))
+
+
 def _calls(tree: ast.AST, method: str) -> bool:
     """Whether an expression calls a method of this name."""
     function = tree.func if isinstance(tree, ast.Call) else None
     return isinstance(function, ast.Attribute) and function.attr == method
 
 
+# ---- a plugin of pytest: who reaches a line ----
+
+
+def _who(test: str) -> str:
+    """A test's name; the cells of a notebook are one."""
+    notebook = re.match(r"[^:]*\.ipynb", test)
+    return notebook[0] if notebook else test
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item) -> None:
+    """Tell coverage which test runs, here and in the processes that it starts."""
+    running = coverage.Coverage.current()
+    if running is not None:
+        os.environ["REACHED_BY"] = _who(item.nodeid)
+        running.switch_context(_who(item.nodeid))
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    """Keep how long each test takes, and whether it passes."""
+    SECONDS[_who(report.nodeid)] += report.duration
+    if report.outcome != "passed":
+        FAILED.add(_who(report.nodeid))
+
+
+# ---- the runs ----
+
+
+def run_here(copy: Path, log: Path, arguments: list[str], kept: Path | None, notebook: str) -> None:
+    """Run pytest in this process, or a notebook; under coverage, and keep what was seen."""
+    os.chdir(copy)
+    with log.open("w") as file:
+        os.dup2(file.fileno(), 1)
+        os.dup2(file.fileno(), 2)
+    paths = [str(copy / name) for name in PATHS]
+    sys.path[:0] = paths
+    os.environ.update(REACHED_BY=notebook, OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
+    os.environ["PYTHONPATH"] = os.pathsep.join(paths)
+    measured = None
+    if kept:
+        (kept / "sitecustomize.py").write_text(STARTUP)
+        (kept / "settings").write_text(SETTINGS.format(folder=kept, copy=copy))
+        os.environ["COVERAGE_PROCESS_START"] = str(kept / "settings")
+        os.environ["PYTHONPATH"] += os.pathsep + str(kept)
+        measured = coverage.Coverage(config_file=str(kept / "settings"))
+        measured.start()
+    start = time.perf_counter()
+    if notebook:  # not by pytest: nbregress ends kernels before coverage has written
+        from nbclient.cli import main as execute
+
+        execute(["--allow-errors", notebook])
+        code = 0
+        SECONDS[notebook] += time.perf_counter() - start
+    else:
+        usual = ["-q", "--tb=line", "-p", "no:cacheprovider", "--hypothesis-seed=0"]
+        usual += ["-p", "mutation", "-Wignore::pytest.PytestAssertRewriteWarning"]
+        code = int(pytest.main([*usual, *arguments]))
+    if measured and kept:
+        measured.stop()
+        measured.save()
+        import mutation  # pytest's plugin is not this module
+
+        seen = {"seconds": mutation.SECONDS + SECONDS, "failed": sorted(mutation.FAILED)}
+        (kept / "seen.json").write_text(json.dumps(seen), "utf-8")
+    sys.exit(code)
+
+
 class Bench:
     """A copy of the project in which mutants are tried, one at a time."""
 
-    def __init__(self, work: Path, job: int, options: argparse.Namespace) -> None:
-        self.whole = work / "whole"
-        self.work = work / f"job{job}"
-        self.copy = self.work / "copy"
-        self.timeout, self.tests, self.only = options.timeout, options.tests, options.only
-        if not self.whole.exists():
-            ignored = shutil.ignore_patterns("__pycache__", ".*")
-            for source in (ROOT / name for name in COPIED):
-                if source.is_dir():
-                    shutil.copytree(source, self.whole / source.name, ignore=ignored)
-                else:
-                    shutil.copy(source, self.whole)
+    def __init__(self, work: Path, timeout: float) -> None:
+        self.work, self.copy, self.timeout = work, work / "copy", timeout
         # A run that was interrupted may have left its mutant behind.
-        shutil.copytree(self.whole, self.copy, dirs_exist_ok=True)
-        points = importlib.metadata.entry_points(group="pytest11")
-        loaded = any(point.value == "nbregress.plugin" for point in points)
-        self.plugin = [] if loaded else ["-p", "nbregress.plugin"]
+        shutil.rmtree(self.copy, ignore_errors=True)
+        left = shutil.ignore_patterns(".git", ".venv", ".*_cache", ".hypothesis", "_build", "*.pyc")
+        shutil.copytree(ROOT, self.copy, ignore=left)
 
-    def pytest(self, *arguments: str, timeout: float | None = None) -> str:
-        """Outcome of a pytest run in the copy: "passed", "failed" or "timeout"."""
-        # A chapter's kernel alone imports the package; coverage's warning would be an error.
-        quiet = "-Wignore::coverage.exceptions.CoverageWarning"
-        command = [sys.executable, "-B", "-m", "pytest", "-q", "-p", "no:cacheprovider", quiet]
+    def run(self, arguments: list[str], kept: Path | None = None, notebook: str = "") -> int | None:
+        """Exit code of a run of pytest, or of a notebook, in the copy; None where time is up."""
         # What Hypothesis remembers of one mutant must not convict the next.
         shutil.rmtree(self.copy / ".hypothesis", ignore_errors=True)
-        process = subprocess.Popen(
-            [*command, "--hypothesis-seed=0", *arguments],
-            cwd=self.copy,
-            env=self._environment(),
-            stdout=(self.work / "last.log").open("w"),
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-        )
+        given = (self.copy, self.work / "last.log", arguments, kept, notebook)
+        process = PROCESSES.Process(target=run_here, args=given)
+        process.start()
         try:
-            code = process.wait(timeout)
-        except subprocess.TimeoutExpired:
-            os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
-            return "timeout"
-        except BaseException:
-            os.killpg(process.pid, signal.SIGKILL)
-            raise
-        return "passed" if code == 0 else "failed"
+            process.join(None if kept else self.timeout)
+            return process.exitcode
+        finally:
+            if process.is_alive():
+                for each in psutil.Process(process.pid).children(recursive=True):
+                    each.kill()
+                process.kill()
 
-    def _environment(self) -> dict[str, str]:
-        lib = self.copy / "lib"
-        return {
-            **os.environ,
-            "PYTHONPATH": os.pathsep.join(map(str, (lib, lib / "nbregress" / "src"))),
-            "PYTHONDONTWRITEBYTECODE": "1",
-            "OMP_NUM_THREADS": "1",
-            "OPENBLAS_NUM_THREADS": "1",
-        }
-
-    def cover(self, chapter: str | None) -> tuple[str, dict[str, Any]]:
-        """Coverage of a chapter, or for None of the unit tests, and the outcome without a mutant.
-
-        A chapter is executed and stored first: it is what a mutant of this library must change.
-        """
-        arguments = ["--cov=statebook", "--cov-report="]
-        if chapter:
-            refresh = [sys.executable, "-m", "nbregress", "refresh", chapter]
-            subprocess.run(refresh, cwd=self.copy, env=self._environment(), capture_output=True)
-            shutil.copy(self.copy / chapter, self.whole / "workbook")
-            outcome = self.pytest(*arguments, *self._nbval(), chapter)
+    def reach(self, notebooks: bool) -> dict[str, Any]:
+        """Which tests, or notebooks, execute the lines of each file, and how long they take."""
+        if notebooks:
+            groups = {path.as_posix(): [] for path in self._files("workbook", "[0-9]*.ipynb")}
         else:
-            units = [
-                str(path.relative_to(self.copy))
-                for path in sorted((self.copy / "tests").glob("test_*.py"))
-                if (path.name in self.tests if self.tests else not path.stem.startswith(NOT_UNIT))
+            doctests = [path.as_posix() for path in self._files("lib", "*.py")]
+            tests = [
+                path.as_posix()
+                for path in self._files("tests", "test_*.py")
+                if path.stem.removeprefix("test_") not in NOT_UNIT
             ]
-            library = self.copy / "lib" / "statebook"
-            sources = [*map(str, chosen(library, self.only))] if self.tests else [str(library)]
-            arguments += ["--cov-context=test", "--durations=0", *sources]
-            outcome = self.pytest(*arguments, *units)
-        report = self.work / "coverage.json"
-        command = [sys.executable, "-m", "coverage", "json", "--show-contexts", "-q", "-o"]
-        subprocess.run([*command, str(report)], cwd=self.copy, check=True)
-        return outcome, json.loads(report.read_text())
+            groups = {"lib": [*doctests, "README.md"], **{test: [test] for test in tests}}
+        seconds: dict[str, float] = {}
+        lines: dict[str, dict[str, set[str]]] = {}
+        for name, arguments in groups.items():
+            found = self._recorded(name, arguments)
+            if found["failed"]:
+                print(f"left out, as it fails without a mutant: {found['failed']}", flush=True)
+            seconds.update(found["seconds"])
+            for file, table in found["lines"].items():
+                for line, who in table.items():
+                    lines.setdefault(file, {}).setdefault(line, set()).update(who)
+        return {"seconds": seconds, "lines": lines}
 
-    def _nbval(self) -> list[str]:
-        return [*self.plugin, "--nbval", "--nbval-current-env"]
+    def _files(self, folder: str, pattern: str) -> list[Path]:
+        return sorted(path.relative_to(self.copy) for path in (self.copy / folder).rglob(pattern))
 
-    def judge(self, mutant: dict[str, Any], reach: dict[str, dict[str, Any]]) -> dict[str, Any]:
-        """Try a mutant on the tests and on the chapters that reach its line."""
-        file, line = mutant["file"], str(mutant["line"])
-        path = self.copy / file
-        source = path.read_text("utf-8")
-        table = reach.get(file, {"tests": {}, "chapters": {}})
-        tests = table["tests"].get(line, [])
+    def _recorded(self, name: str, arguments: list[str]) -> dict[str, Any]:
+        stored = self.work / "reach" / f"{name.replace('/', '+')}.json"
+        if stored.exists():
+            known: dict[str, Any] = json.loads(stored.read_text("utf-8"))
+            if all(digest(self.copy / file) == value for file, value in known["files"].items()):
+                return known
+        folder = stored.with_suffix("")
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
+        self.run(arguments, folder, "" if arguments else name)
+        found: dict[str, Any] = json.loads((folder / "seen.json").read_text("utf-8"))
+        print(f"{name}: {sum(found['seconds'].values()):.0f} s", flush=True)
+        measured = coverage.Coverage(data_file=str(folder / "data"), config_file=False)
+        measured.combine([str(folder)])
+        data = measured.get_data()
+        passed = set(found["seconds"]) - set(found["failed"])
+        found["lines"] = {}
+        for file in sorted(data.measured_files()):
+            table = data.contexts_by_lineno(file)
+            named = {line: sorted(passed & set(names)) for line, names in table.items()}
+            found["lines"][Path(file).relative_to(self.copy).as_posix()] = {
+                line: names for line, names in named.items() if names
+            }
+        files = [name, *arguments, *(file for file, table in found["lines"].items() if table)]
+        found["files"] = {f: digest(self.copy / f) for f in files if (self.copy / f).is_file()}
+        stored.write_text(json.dumps(found), "utf-8")
+        shutil.rmtree(folder)
+        return self._recorded(name, arguments)
+
+    def judge(
+        self, mutant: dict[str, Any], found: dict[str, Any], budget: float, *options: str
+    ) -> dict[str, Any]:
+        """Try a mutant on what reaches it, fastest first, as far as the budget of seconds goes."""
+        table, seconds = found["lines"].get(mutant["file"], {}), found["seconds"]
+        reaching = {name for line in mutant["span"] for name in table.get(str(line), [])}
+        if not mutant["span"]:
+            reaching = {name for names in table.values() for name in names}
+        tests, spent = [], 0.0
+        for name in sorted(reaching, key=lambda name: (seconds[name], name)):
+            spent += seconds[name]
+            if not tests or spent <= budget:
+                tests.append(name)
+        result = {**mutant, "outcome": "unreached", "who": "", "tried": [len(tests), len(reaching)]}
         if not tests:
-            # Executed on import (a default, a table): all that use the file may see it.
-            tests = sorted({name for names in table["tests"].values() for name in names})
-        chapters = table["chapters"].get(line, [])
+            return result
+        path = self.copy / mutant["file"]
+        compiled = Path(importlib.util.cache_from_source(str(path)))
+        source = path.read_text("utf-8")
         start = time.monotonic()
-        result = {**mutant, "tests": "unreached", "chapters": "unreached"}
-        broken = source[: mutant["start"]] + mutant["new"] + source[mutant["end"] :]
-        path.write_text(broken, "utf-8")
         try:
-            if tests:
-                tests = sorted(tests, key=lambda name: reach["seconds"].get(name, 0.0))
-                (self.work / "ids.txt").write_text("\n".join(tests) + "\n")
-                ids = f"@{self.work / 'ids.txt'}"
-                result["tests"] = self.pytest("-x", ids, timeout=self.timeout)
-            if chapters:
-                result["chapters"] = self.pytest(
-                    "-x",
-                    *self._nbval(),
-                    f"--nbval-cell-timeout={self.timeout}",
-                    *chapters,
-                    timeout=self.timeout * len(chapters),
-                )
+            path.write_text(
+                source[: mutant["start"]] + mutant["new"] + source[mutant["end"] :], "utf-8"
+            )
+            compiled.unlink(missing_ok=True)
+            code = self.run(["-x", *options, *tests])
         finally:
             path.write_text(source, "utf-8")
-        result["seconds"] = round(time.monotonic() - start, 1)
-        return result
+            compiled.unlink(missing_ok=True)
+        log = (self.work / "last.log").read_text("utf-8", "replace")
+        who = re.search(r"^(FAILED|ERROR) .*", log, re.MULTILINE)
+        result["outcome"] = {0: "passed", None: "time-out"}.get(code, "caught")
+        result["who"] = who[0][:200] if who else ""
+        return {**result, "seconds": round(time.monotonic() - start, 1)}
 
 
-def chosen(library: Path, patterns: Iterable[str]) -> list[Path]:
-    """Files of the library that are mutated."""
-    return sorted(path for pattern in patterns for path in library.glob(pattern))
+def drawn(population: list[dict[str, Any]], count: int, seed: int) -> list[dict[str, Any]]:
+    """A sample that has of every room as much as is its share of the lines of code."""
+    rooms: defaultdict[str, list[dict[str, Any]]] = defaultdict(list)
+    size: Counter[str] = Counter()
+    for mutant in population:
+        rooms[_room(mutant)].append(mutant)
+    for file, room in {mutant["file"]: _room(mutant) for mutant in population}.items():
+        tree = ast.parse((ROOT / file).read_text("utf-8"))
+        size[room] += len({node.lineno for node in ast.walk(tree) if isinstance(node, ast.expr)})
+    share = {room: count * lines / size.total() for room, lines in size.items()}
+    quota = {room: int(part) for room, part in share.items()}
+    short = count - sum(quota.values())
+    for room in sorted(share, key=lambda room: quota[room] - share[room])[:short]:
+        quota[room] += 1
+
+    def rank(mutant: dict[str, Any]) -> bytes:
+        return hashlib.sha256(f"{seed} {key(mutant)}".encode()).digest()
+
+    return [m for room in sorted(rooms) for m in sorted(rooms[room], key=rank)[: quota[room]]]
+
+
+def _room(mutant: dict[str, Any]) -> str:
+    """A package, or the folder of statebook's."""
+    parts = Path(mutant["file"]).parts
+    return "/".join(parts[1:-1][:2])
+
+
+def digest(path: Path) -> str:
+    """Hash of a file; of one that is not there, nothing."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()[:16] if path.exists() else ""
 
 
 def tree_hash() -> str:
-    """Hash of the library and its tests."""
+    """Hash of the packages and their tests."""
     found = hashlib.sha256()
     for path in sorted(path for name in ("lib", "tests") for path in (ROOT / name).rglob("*.py")):
         found.update(path.relative_to(ROOT).as_posix().encode() + path.read_bytes())
     return found.hexdigest()[:16]
-
-
-def _plain(context: str) -> str:
-    """The test's name in a coverage context; pytest-cov adds the phase."""
-    return context.rpartition("|")[0] or context
-
-
-def each(
-    benches: list[Bench], function: Callable[[Bench, T], R], items: Iterable[T]
-) -> Iterator[R]:
-    """Yield the function's results in order; each bench does one item at a time."""
-    free: queue.Queue[Bench] = queue.Queue()
-    for bench in benches:
-        free.put(bench)
-
-    def call(item: T) -> R:
-        bench = free.get()
-        try:
-            return function(bench, item)
-        finally:
-            free.put(bench)
-
-    with ThreadPoolExecutor(len(benches)) as pool:
-        yield from pool.map(call, items)
-
-
-def reach(benches: list[Bench], work: Path) -> dict[str, dict[str, Any]]:
-    """For each file, its lines with the tests and the chapters that execute them."""
-    stored = work / "reach.json"
-    if stored.exists():
-        known: dict[str, dict[str, Any]] = json.loads(stored.read_text())
-        return known
-    table: dict[str, dict[str, Any]] = {}
-    books = sorted((benches[0].copy / "workbook").glob("[0-9]*.ipynb"))
-    books = [] if benches[0].tests else books
-    tasks = [None, *(str(book.relative_to(benches[0].copy)) for book in books)]
-    found = each(benches, Bench.cover, tasks)
-    for chapter, (outcome, data) in zip(tasks, found, strict=True):
-        print(f"{chapter or 'unit tests'} without a mutant: {outcome}", flush=True)
-        # What fails as it is would convict every mutant.
-        if outcome != "passed":
-            raise SystemExit("nothing can be said about mutants; see last.log")
-        if not chapter:
-            log = (benches[0].work / "last.log").read_text()
-            times = re.findall(r"^([\d.]+)s call +(\S.*)$", log, re.MULTILINE)
-            table["seconds"] = {name: float(seconds) for seconds, name in times}
-        for file, lines in data["files"].items():
-            entry = table.setdefault(file, {"tests": {}, "chapters": {}})
-            if chapter:
-                for line in lines["executed_lines"]:
-                    entry["chapters"].setdefault(str(line), []).append(chapter)
-            else:
-                for line, names in lines["contexts"].items():
-                    entry["tests"][line] = sorted({_plain(name) for name in names} - {""})
-    stored.write_text(json.dumps(table))
-    return table
-
-
-def caught(outcome: str) -> bool:
-    """Whether a run noticed the mutant."""
-    return outcome in ("failed", "timeout")
-
-
-def survived(result: dict[str, Any]) -> bool:
-    """Whether neither tests nor chapters noticed the mutant."""
-    return not (caught(result["tests"]) or caught(result["chapters"]))
-
-
-def report(results: list[dict[str, Any]]) -> None:
-    """Print the counts and the survivors."""
-    total = len(results)
-    for name, seen in (
-        ("caught by the unit tests", [caught(r["tests"]) for r in results]),
-        ("caught by the chapters", [caught(r["chapters"]) for r in results]),
-        ("caught by either", [not survived(r) for r in results]),
-    ):
-        print(f"{name}: {sum(seen)} of {total} ({sum(seen) / total:.0%})")
-    for r in filter(survived, results):
-        print(f"survives: {describe(r)}")
-
-
-def describe(result: dict[str, Any]) -> str:
-    """One line on a result."""
-    file = result["file"].removeprefix("lib/statebook/")
-    outcome = f"tests {result['tests']}, chapters {result['chapters']}"
-    return f"{file}:{result['line']}: {result['text']} ({outcome}, {result['seconds']} s)"
 
 
 def key(mutant: dict[str, Any]) -> tuple[str, str, int]:
@@ -387,58 +419,80 @@ def key(mutant: dict[str, Any]) -> tuple[str, str, int]:
     return mutant["file"], mutant["text"], mutant["number"]
 
 
+def describe(result: dict[str, Any]) -> str:
+    """One line on a result."""
+    tried = "/".join(map(str, result["tried"]))
+    return (
+        f"{result['file'].removeprefix('lib/')}:{result['line']}: {result['text']}"
+        f" ({result['outcome']}, {tried} tried, {result.get('seconds', 0)} s) {result['who']}"
+    )
+
+
+def report(results: list[dict[str, Any]]) -> None:
+    """Print the counts, room by room, and the survivors."""
+    rooms = sorted({_room(r) for r in results})
+    print(f"{'':30}{'mutants':>10}{'caught':>10}{'time-out':>10}{'survive':>10}")
+    for name in (*rooms, ""):
+        n = Counter(r["outcome"] for r in results if name in ("", _room(r)))
+        counts = (n.total(), n["caught"], n["time-out"], n["passed"] + n["unreached"])
+        print(f"{name or 'all':30}" + "".join(f"{count:10}" for count in counts))
+    for r in results:
+        if r["outcome"] in ("passed", "unreached"):
+            print(f"survives: {describe(r)}")
+
+
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
-    parser.add_argument("--count", type=int, default=200, help="mutants in the sample")
+    parser.add_argument("--count", type=int, default=150, help="mutants in the sample")
     parser.add_argument("--seed", type=int, default=1, help="seed of the sample")
-    parser.add_argument("--timeout", type=float, default=120.0, help="seconds for one test run")
-    parser.add_argument("--jobs", type=int, default=1, help="mutants tried at the same time")
+    parser.add_argument("--timeout", type=float, default=300.0, help="seconds for one mutant")
+    parser.add_argument("--budget", type=float, default=60.0, help="seconds of tests for a mutant")
+    parser.add_argument("--notebooks", action="store_true", help="chapters instead of unit tests")
     parser.add_argument("--again", action="store_true", help="try once more what survived")
-    parser.add_argument("--only", nargs="+", default=MODULES, help="files, below lib/statebook")
-    parser.add_argument("--tests", nargs="+", help="test files, without the chapters")
-    parser.add_argument("--work", type=Path, required=True, help="folder for copies and results")
+    parser.add_argument("--only", nargs="+", metavar="FILE:LINE", help="files or lines, below lib")
+    parser.add_argument("--work", type=Path, required=True, help="folder for the copy and results")
     options = parser.parse_args()
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit("ended"))
     work = options.work.resolve()
     work.mkdir(parents=True, exist_ok=True)
-    stored = work / "results.jsonl"
-    tree, copied = tree_hash(), work / "tree.txt"
-    lines = stored.read_text().splitlines() if stored.exists() else []
-    found = [json.loads(line) for line in lines]
-    latest = {key(result): result for result in found if options.again or result["tree"] == tree}
-    results = [result for result in latest.values() if not (options.again and survived(result))]
-    if not copied.exists() or copied.read_text() != tree:
-        shutil.rmtree(work / "whole", ignore_errors=True)
-        (work / "reach.json").unlink(missing_ok=True)
-        copied.write_text(tree)
-    benches = [Bench(work, job, options) for job in range(options.jobs)]
-    reached = reach(benches, work)
-    # Now with the outputs of all chapters as they are without a mutant.
-    benches = [Bench(work, job, options) for job in range(options.jobs)]
-    whole = work / "whole"
-    library = whole / "lib" / "statebook"
-    files = chosen(library, options.only)
-    population = [mutant for path in files for mutant in mutants(path, whole)]
-
-    def rank(mutant: dict[str, Any]) -> bytes:
-        return hashlib.sha256(f"{options.seed} {key(mutant)}".encode()).digest()
-
-    sample = sorted(population, key=rank)[: options.count]
-    # Of a mutant whose line is gone, or that another seed has drawn, no more is said.
-    results = [result for result in results if key(result) in map(key, sample)]
-    done = set(map(key, results))
-    todo = [mutant for mutant in sample if key(mutant) not in done]
-    with stored.open("a", buffering=1) as file:
-        judged = each(benches, lambda bench, mutant: bench.judge(mutant, reached), todo)
-        for index, result in enumerate(judged, start=1 + len(done)):
-            results.append(result)
-            file.write(json.dumps({**result, "tree": tree}) + "\n")
-            print(f"[{index}/{len(sample)}] {describe(result)}", flush=True)
+    tree = tree_hash()
+    PROCESSES.set_forkserver_preload([name for name in HEAVY if importlib.util.find_spec(name)])
+    bench = Bench(work, options.timeout)
+    found = bench.reach(options.notebooks)
+    files = [path for name in PACKAGES for path in sorted((ROOT / name).rglob("*.py"))]
+    population = [m for path in files for m in mutants(path, ROOT)]
+    if options.only:
+        sample = [m for m in population if _named(m, options.only)]
+    else:
+        sample = drawn(population, options.count, options.seed)
+    stored = work / f"results_{'notebooks' if options.notebooks else 'units'}.jsonl"
+    lines = stored.read_text("utf-8").splitlines() if stored.exists() else []
+    done: dict[Any, dict[str, Any]] = {}
+    for result in map(json.loads, lines):
+        kept = result["outcome"] not in ("passed", "unreached")
+        kept = kept and result["room"] == digest(ROOT / result["file"])
+        if kept if options.again else result["tree"] == tree:
+            done[key(result)] = result
+    shown = ["--nb"] if options.notebooks else []
+    results = []
+    with stored.open("a", encoding="utf-8", buffering=1) as file:
+        for index, mutant in enumerate(sample, start=1):
+            if key(mutant) not in done:
+                result = bench.judge(mutant, found, options.budget, *shown)
+                done[key(mutant)] = {**result, "tree": tree, "room": digest(ROOT / mutant["file"])}
+                file.write(json.dumps(done[key(mutant)]) + "\n")
+                print(f"[{index}/{len(sample)}] {describe(result)}", flush=True)
+            results.append(done[key(mutant)])
     print(f"{len(sample)} of {len(population)} mutants, seed {options.seed}")
     report(results)
+
+
+def _named(mutant: dict[str, Any], names: list[str]) -> bool:
+    """Whether a mutant is in one of these files or lines."""
+    file = mutant["file"].removeprefix("lib/")
+    return any(name in (file, f"{file}:{mutant['line']}") for name in names)
 
 
 if __name__ == "__main__":

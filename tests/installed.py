@@ -20,6 +20,8 @@ import sys
 import tempfile
 from pathlib import Path
 
+import matrix
+
 ROOT = Path(__file__).resolve().parents[1]
 PROJECTS = (ROOT, ROOT / "lib" / "nbregress")
 HELPERS = "built|run|ledger|planted|matrix|house|pattern"
@@ -46,10 +48,8 @@ def packed(folder: Path, kind: str) -> list[str]:
 def installed(folder: Path, files: list[str], python: str, oldest: bool) -> Path:
     """Make an environment with these files and what the tests need; return its interpreter."""
     text = (ROOT / "requirements.txt").read_text(encoding="utf-8")
-    bounds = re.findall(r"^[\w.-]+>=\S+", text, re.MULTILINE)
-    if oldest:  # there is no setuptools 77, but 77.0.1
-        bounds = [b.replace(">=", "==") + ("" if "." in b else ".*") for b in bounds]
-    (folder / "wanted.txt").write_text("\n".join(bounds), encoding="utf-8")
+    wanted = matrix.oldest(text) if oldest else text
+    (folder / "wanted.txt").write_text(wanted, encoding="utf-8")
     venv = folder / "venv"
     inside = venv / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
     if uv := shutil.which("uv"):

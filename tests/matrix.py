@@ -5,9 +5,9 @@
     python3 run.py test --matrix -- tests workbook  other arguments for pytest
 
 Each run is `run.py test` by another interpreter, in an environment of its own below
-_build/matrix, with its output beside it. Not the full product: each Python with the newest
-packages; the first and the last with the oldest that requirements.txt admits; the last with
-each OpenBLAS core type. Delete _build/matrix to have newer packages. Standard library only.
+_build/matrix, with its output beside it: each Python with the newest packages and with the
+oldest, every lower bound of requirements.txt; the last Python with each OpenBLAS core type.
+Delete _build/matrix to have newer packages. Standard library only.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 MATRIX = ROOT / "_build" / "matrix"
 PYTHONS = ("3.10", "3.11", "3.12", "3.13")
-PACKAGES = ("numpy", "scipy", "matplotlib")
+PACKAGES = ("numpy", "scipy", "matplotlib", "control", "toppra")
 CORES = ("Haswell", "Nehalem")
 TESTS = ("workbook", "lib", "README.md")
-ROW = "{:<20} {:<8} {:<8} {:<8} {:<11} {:<9} {:>6} {:>6} {:>8}".format
+ROW = "{:<20} {:<8} {:<8} {:<8} {:<11} {:<8} {:<8} {:<9} {:>6} {:>6} {:>8}".format
 HEAD = ROW("run", "Python", *PACKAGES, "core", "passed", "failed", "seconds")
 
 # What an interpreter executes: it tells where it is, if it can make environments; it does
@@ -37,8 +37,9 @@ HEAD = ROW("run", "Python", *PACKAGES, "core", "passed", "failed", "seconds")
 WHERE = "import ensurepip, sys, venv; print('%d.%d' % sys.version_info[:2], sys.executable)"
 JOB = "import pathlib, run, sys; run.VENV = pathlib.Path(sys.argv[1]); "
 JOB += "sys.exit(run.main(['test', *sys.argv[2:]]))"
-VERSIONS = "import json, matplotlib, numpy.linalg, platform, scipy.linalg; "
-VERSIONS += "found = [m.__version__ for m in (numpy, scipy, matplotlib)]; "
+VERSIONS = "import importlib.metadata as m, json, numpy.linalg, platform, scipy.linalg, sys; "
+VERSIONS += "has = {d.metadata['Name']: d.version for d in m.distributions()}; "
+VERSIONS += "found = [has.get(name, '-') for name in sys.argv[1:]]; "
 VERSIONS += "print(json.dumps([platform.python_version(), *found]))"
 
 
@@ -83,18 +84,17 @@ def interpreters() -> dict[str, str]:
 
 
 def plan(versions: list[str], machine: str) -> list[Run]:
-    """Return the covering set of runs, in the order in which they happen."""
-    runs = [Run(version, "newest") for version in versions]
-    runs += [Run(version, "oldest") for version in dict.fromkeys([*versions[:1], *versions[-1:]])]
+    """Return the runs, in the order in which they happen."""
+    runs = [Run(version, which) for which in ("newest", "oldest") for version in versions]
     if machine.lower() in ("x86_64", "amd64"):
         runs += [Run(version, "newest", core) for version in versions[-1:] for core in CORES]
     return runs
 
 
 def oldest(requirements: str) -> str:
-    """Return pip's constraints to the lower bounds of the numerical packages."""
-    bounds = re.findall(rf"^(?:{'|'.join(PACKAGES)})>=.*\n", requirements, re.MULTILINE)
-    return "".join(bounds).replace(">=", "==")
+    """Return pip's constraints to every lower bound; "77" alone means the first 77 there is."""
+    bounds = re.findall(r"^([\w.-]+)>=(\S+)$", requirements, re.MULTILINE)
+    return "".join(f"{name}=={low}{'' if '.' in low else '.*'}\n" for name, low in bounds)
 
 
 def execute(run: Run, python: str, tests: list[str]) -> tuple[int, str]:
@@ -118,11 +118,13 @@ def versions(run: Run) -> list[str]:
     """Return the versions of Python and packages, and the BLAS kernel that is really in use."""
     python = run.venv / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
     if not python.exists():
-        return ["-"] * 5
+        return ["-"] * (2 + len(PACKAGES))
     env = {**run.environment(), "OPENBLAS_VERBOSE": "2"}  # which names the kernel on stderr
-    done = subprocess.run([python, "-c", VERSIONS], capture_output=True, text=True, env=env)
+    command = [python, "-c", VERSIONS, *PACKAGES]
+    done = subprocess.run(command, capture_output=True, text=True, env=env)
     cores = sorted(set(re.findall(r"^Core: (\w+)", done.stderr, re.MULTILINE)))
-    return [*(json.loads(done.stdout or "0") or ["-"] * 4), "/".join(cores) or "-"]
+    found = json.loads(done.stdout or "0") or ["-"] * (1 + len(PACKAGES))
+    return [*found, "/".join(cores) or "-"]
 
 
 def verdict(run: Run, code: int, output: str, core: str) -> tuple[list[str], list[str]]:

@@ -97,6 +97,39 @@ def test_a_complex_plant_is_its_real_and_imaginary_parts():
     assert abs(np.exp(a * found) - (np.exp(a * found) - 1) / a * k) == pytest.approx(1, abs=1e-12)
 
 
+def test_loops_side_by_side_are_as_good_as_the_worst():
+    """Their product turns so fast that a first piece must be halved, and again."""
+    omegas, gains = np.linspace(0.95, 1.05, 8), np.linspace(0.6, 0.2, 8)
+    plants = [spring(omega, 0.01) for omega in omegas]
+    laws = [[[0.0, gain]] for gain in gains]
+    each = [sb.critical_sample_time(A, B, K) for (A, B), K in zip(plants, laws, strict=True)]
+    A, B, K = (scipy.linalg.block_diag(*parts) for parts in (*zip(*plants, strict=True), laws))
+    assert sb.critical_sample_time(A, B, K) == pytest.approx(min(each), rel=1e-12)
+
+
+def test_nearly_equal_modes_held_by_huge_gains():
+    """Rounding of the loop's eigenvalues is that of the gains, here 6e3 and opposed."""
+    A = scipy.linalg.block_diag(
+        *[[[0, 1], [-k, 0]] for k in (5.811953883463402, 5.804792243810796)]
+    )
+    B = np.array(
+        [[0.4219694947780549, 0.25016244798431597, -0.19644155767581964, 0.6818941030932071]]
+    ).T
+    K = [[3221.205176778769, 1635.9863982191964, 6086.939824996569, -836.6303587156857]]
+    found = sb.critical_sample_time(A, B, K)
+    assert radius(A, B, K, found) == pytest.approx(1, abs=1e-9)
+    assert all(radius(A, B, K, h) < 1 for h in np.linspace(0.01, found - 1e-6, 200))
+    assert radius(A, B, K, found + 1e-6) > 1
+
+
+def test_where_modes_alias_the_loop_reaches_the_circle_there():
+    """At half the period of an undamped mode sampling loses controllability: -1 whatever K is."""
+    A = np.array([[0.0, 1.0, 0.0], [-8.0, 0.0, 1.0], [0.0, 0.0, -1.9]])
+    B = np.array([[0.386], [-0.582], [0.109]])
+    found = sb.critical_sample_time(A, B, [[2.55, 1.89, -1.7]])
+    assert found == pytest.approx(np.pi / 8**0.5, rel=1e-13)
+
+
 def test_systems_are_taken_as_stability_takes_them():
     A, B = spring(10.0, 0.01)
     K = [[0.0, 0.5]]

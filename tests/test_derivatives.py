@@ -11,7 +11,7 @@ import pytest
 import scipy
 
 import statebook as sb
-from statebook.derivatives import derivative
+from statebook.derivatives import differentiate
 
 WAVE = 2 * np.pi / 500e-9
 
@@ -101,7 +101,7 @@ SMALL_SHARES = {
 @pytest.mark.parametrize(("f", "x0", "expected"), SMALL_SHARES.values(), ids=SMALL_SHARES)
 def test_a_slope_that_is_small_in_its_row_is_right_within_its_error(f, x0, expected):
     n = len(x0)
-    J, error = derivative(
+    J, error, *_ = differentiate(
         lambda z: np.stack([np.array(f(c)) for c in z.T], axis=1), np.array(x0)[:, None]
     )
     assert J.shape == (1, 1, n)
@@ -389,3 +389,53 @@ def test_a_row_that_saturates_has_a_slope_as_good_as_its_error():
     with pytest.warns(sb.InexactDerivativeWarning):
         A, _ = sb.jacobians(network, x0)[:2]
     np.testing.assert_allclose(A, (1 - start**2)[:, None] * weights, atol=1e-9)
+
+
+def of_columns(f):
+    """Return a function of one column as one of many."""
+    return lambda z: np.stack([np.array(f(column)) for column in z.T], axis=1)
+
+
+def test_an_exact_slope_that_noise_hides_stands_with_what_differences_know_of_it():
+    J, error, *_ = differentiate(
+        of_columns(lambda x: [1e13 * np.sin(x[0]) + x[1]]), np.array([[0.7], [1.0]])
+    )
+    assert J[0, 0, 1] == 1.0
+    assert 1e-4 < error[0, 0, 1] < 0.1  # 1e13 is rounded by 1e-3
+
+
+def test_a_slope_that_is_rounding_beside_its_row_is_exact():
+    J, error, *_ = differentiate(
+        of_columns(lambda x: [1e9 * np.sin(x[0]) + 1e-7 * x[1]]), np.array([[0.7], [1.0]])
+    )
+    assert J[0, 0, 1] == 1e-7 and error[0, 0, 1] == 0.0
+
+
+def test_points_of_unlike_size_do_not_share_their_noise():
+    def wave(z):
+        return np.array([[size * math.sin(WAVE * x) for x, size in z.T]])
+
+    sizes = np.array([1e12, 1.0])
+    J, error, *_ = differentiate(wave, np.array([[0.0, 0.0], sizes]), [0])
+    np.testing.assert_allclose(J[:, 0, 0], WAVE * sizes, rtol=1e-9)
+    assert (error[:, 0, 0] <= 1e-9 * WAVE * sizes).all()
+
+
+def test_a_small_relay_is_a_jump_whatever_the_scale_of_its_variable():
+    with pytest.raises(sb.KinkError, match="slope of row 0"):
+        differentiate(
+            lambda z: 1e-5 * np.sign(np.real(z)), np.zeros((1, 1)), scale=np.full((1, 1), 1e-3)
+        )
+
+
+def test_a_point_among_many_costs_seven_evaluations_where_differences_settle():
+    asked = [0]
+
+    def growth(z):
+        asked[0] += z.shape[1]
+        return np.exp(8 * z)
+
+    z = np.linspace(-1, 1, 500)[None]
+    J, error, *_ = differentiate(growth, z, scale=np.ones(z.shape))
+    np.testing.assert_allclose(J[:, 0, 0], 8 * np.exp(8 * z[0]), rtol=1e-14)
+    assert not error.any() and asked[0] <= 7 * 500

@@ -296,3 +296,16 @@ def test_a_rotation_conserves_the_radius_alone(discrete, size):
     assert found.P.shape == (1, 2, 2)
     np.testing.assert_allclose(found.P[0] / found.P[0, 0, 0], np.eye(2), atol=1e-9)
     np.testing.assert_allclose(found.a, 0, atol=1e-9 * size)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_what_is_zero_but_for_rounding_is_shown_as_zero(seed):
+    rng = np.random.default_rng(seed)
+    M, x0 = rng.normal(size=(4, 4)), np.array([0.3, 0.0, -1.2, 0.0])
+    found = sb.find_equilibrium(lambda x: M @ np.sin(x) - M @ np.sin(x0), x0 + 0.1)
+    assert repr(found).startswith("Equilibrium(x=[0.3 0 -1.2 0], u=[], isolated")
+
+
+def test_what_is_small_but_no_rounding_stays():
+    found = sb.find_equilibrium(lambda x: [x[0] - 1e-19, 1e-9 * (x[1] - 2)], [0.1, 1.0])
+    assert found.x.tolist() == [1e-19, 2.0]

@@ -433,6 +433,35 @@ def test_discrete_modes_are_those_of_the_sampled_system():
     assert np.allclose(table(continuous), table(discrete), rtol=1e-9)
 
 
+@pytest.mark.parametrize(
+    "eigenvalues",
+    [
+        blocks([[-1.0]], [[-1.0]], [[-3.0]]),
+        blocks([[-1.0, 1.0], [0.0, -1.0]], [[-3.0]]),
+        blocks(oscillator(2.0, 0.1), oscillator(2.0, 0.1)),
+    ],
+)
+def test_states_of_a_repeated_eigenvalue_are_those_of_its_subspace(eigenvalues):
+    """Eigenvectors of a double eigenvalue are rounding's choice; the spectral projector is not."""
+    rng = np.random.default_rng(2)
+    n = len(eigenvalues)
+    V = rng.normal(size=(n, n))
+    inverse = np.linalg.inv(V)
+    A = V @ eigenvalues @ inverse
+    if n == 3:
+        expected = [np.abs(np.diag(V[:, :2] @ inverse[:2]))] * 2 + [np.abs(V[:, 2] * inverse[2])]
+    else:
+        P = np.linalg.eig(oscillator(2.0, 0.1))
+        v = P[0][P[0].imag > 0]
+        other = eigenvalues - v.conj() * np.eye(4)
+        expected = [np.abs(np.diag(V @ (other / (v - v.conj())) @ inverse))] * 4
+    expected = [share / share.sum() for share in expected]
+    for _ in range(3):
+        noise = 1 + 4e-16 * rng.uniform(-1, 1, size=A.shape)
+        shares = [mode.participation for mode in sb.stability(A * noise).modes]
+        assert np.array(shares) == pytest.approx(np.array(expected), abs=1e-6)
+
+
 def test_participation_tells_modes_apart_and_ignores_units():
     A = np.array([[-1.0, 1e-3, 0], [0, -5.0, 0.1], [1e-3, 0, -20.0]])
     units = np.array([1e6, 1.0, 1e-6])

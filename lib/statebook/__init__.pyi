@@ -8,9 +8,9 @@ from .angles import wrap_angle as wrap_angle
 from .checking import check as check
 from .checking import summary as summary
 from .control_trajectory import ControlTrajectory as ControlTrajectory
-from .controllers.linear import LQR as LQR
-from .controllers.linear import PD as PD
+from .controllers.lqr import LQR as LQR
 from .controllers.open_loop import bang_bang as bang_bang
+from .controllers.pid import PD as PD
 from .controllers.pid import PID as PID
 from .controllers.swing_up import CartPoleSwingUp as CartPoleSwingUp
 from .controllers.swing_up import SwingUp as SwingUp

@@ -1,12 +1,12 @@
 """Checks of callers' arguments: each error names the argument, the rule and what arrived."""
 
-from __future__ import annotations
-
 import numbers
 from collections.abc import Collection
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+
+_Kind = TypeVar("_Kind")
 
 
 def array(name: str, value: Any, shape: tuple[int | None, ...] | None = None) -> np.ndarray:
@@ -83,11 +83,17 @@ def real_array(name: str, value: Any, shape: tuple[int | None, ...] | None = Non
     return result
 
 
+def vectors(name: str, value: Any, n: int | str) -> np.ndarray:
+    """Return value as an array (n,) or (n, N); n is a number, or a letter for any."""
+    result = array(name, value)
+    if result.ndim not in (1, 2) or len(result) != (len(result) if isinstance(n, str) else n):
+        raise ValueError(f"{name} must have shape ({n},) or ({n}, N), got {result.shape}")
+    return result
+
+
 def state_and_input(x: Any, u: Any, n: int, m: int) -> tuple[np.ndarray, np.ndarray]:
     """Return x, (n,) or (n, N), and u, (m,) or (m, N), as arrays; u None is zeros."""
-    x = array("x", x)
-    if x.ndim not in (1, 2) or x.shape[0] != n:
-        raise ValueError(f"x must have shape ({n},) or ({n}, N), got {x.shape}")
+    x = vectors("x", x, n)
     u = np.zeros(m) if u is None else array("u", u)
     if u.shape not in ((m,), (m, *x.shape[1:])):
         batch = f" or {(m, *x.shape[1:])}" if x.ndim == 2 else ""
@@ -140,6 +146,21 @@ def choice(name: str, value: Any, options: Collection[str]) -> str:
     if value not in options:
         raise ValueError(f"{name} must be one of {', '.join(options)}; got {value!r}")
     return value
+
+
+def instance(name: str, value: _Kind, kind: type[_Kind]) -> _Kind:
+    """Return value if it is of a kind."""
+    if not isinstance(value, kind):
+        raise TypeError(f"{name} must be a {kind.__name__}, got {type(value).__name__}")
+    return value
+
+
+def interval(name: str, ends: Any) -> tuple[float, float]:
+    """Return two ends, which increase."""
+    low, high = map(float, real_array(name, ends, (2,)))
+    if not low < high:
+        raise ValueError(f"{name} must increase, got ({low:g}, {high:g})")
+    return low, high
 
 
 def brief(x: np.ndarray) -> str:

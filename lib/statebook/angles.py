@@ -1,7 +1,5 @@
 """Angles live on a circle: their difference is the short way round."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Checks that print one stable line each, and their summary at the end of a notebook."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass
 from functools import partial

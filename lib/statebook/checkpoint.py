@@ -1,7 +1,5 @@
 """What a long computation has done, folded or kept, and a file from which it goes on."""
 
-from __future__ import annotations
-
 import copy
 import functools
 import json

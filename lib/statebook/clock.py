@@ -1,7 +1,5 @@
 """A sampled controller: what acts on the plant between the ticks of a clock."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -54,9 +52,8 @@ class Clock:
             if abs(since - k * self._period) <= _ROUNDING * self._period:
                 self._commands.append(self._command(x, t))
         arrived = math.floor((since - self._delay) / self._period + _ROUNDING)
-        return (
-            self._commands[min(arrived, len(self._commands) - 1)] if arrived >= 0 else self._before
-        )
+        latest = min(arrived, len(self._commands) - 1)
+        return self._commands[latest] if arrived >= 0 else self._before
 
     def stretches(self, control: Callable[..., np.ndarray], steps: Steps) -> Iterator[Stretch]:
         """The stretches of a run, each with what acts in it; control(u, x, t) evaluates a u."""

@@ -1,7 +1,5 @@
 """The complex step, unchecked, and the Jacobians that a search can do with."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable
 
@@ -45,11 +43,8 @@ def complex_step(
                     return None
                 if J is None:
                     J = np.empty((len(result), c, N))
-                np.divide(
-                    result.imag.reshape(-1, width, part.shape[1]),
-                    part,
-                    out=J[:, a : a + width, some],
-                )
+                change = result.imag.reshape(-1, width, part.shape[1])
+                np.divide(change, part, out=J[:, a : a + width, some])
                 shifted.imag[chosen] = 0.0
     return J
 
@@ -73,7 +68,5 @@ def search_jacobian(f: Evaluate, z: np.ndarray, s: np.ndarray) -> np.ndarray:
             if (np.abs(J @ direction - found) <= allowed).all():
                 return J
         h = 1e-6 * np.diag(s)
-        up, down = np.split(
-            f(z[:, None] + np.concatenate([h, -h], axis=1)).astype(float), 2, axis=1
-        )
-        return (up - down) / (2e-6 * s)
+        sides = f(z[:, None] + np.concatenate([h, -h], axis=1)).astype(float)
+        return (sides[:, : z.size] - sides[:, z.size :]) / (2e-6 * s)

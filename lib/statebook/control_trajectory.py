@@ -41,14 +41,12 @@ class ControlTrajectory(ReadOnly):
     def __post_init__(self) -> None:
         breakpoints = increasing("breakpoints", self.breakpoints, minimum=2)
         pieces = len(breakpoints) - 1
-        coefficients = _validate.real_array(
-            "coefficients", self.coefficients, (None, pieces, None)
-        ).copy()
+        coefficients = _validate.real_array("coefficients", self.coefficients, (None, pieces, None))
         if 0 in coefficients.shape:
             raise ValueError(
                 f"coefficients must have shape (degree + 1, {pieces}, m), got {coefficients.shape}"
             )
-        self._keep(breakpoints=breakpoints, coefficients=coefficients)
+        self._keep(breakpoints=breakpoints, coefficients=coefficients.copy())
 
     def __repr__(self) -> str:
         degree, pieces, m = (len(self.coefficients) - 1, *self.coefficients.shape[1:])

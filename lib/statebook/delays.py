@@ -15,6 +15,7 @@ from statebook.policies import as_plan, at_start
 from statebook.sampling import state_space
 from statebook.simulation import simulate
 from statebook.systems import as_system
+from statebook.times import whole_samples
 
 if TYPE_CHECKING:
     import control
@@ -67,25 +68,17 @@ def with_input_delay(sys: Any, delay: float, *, order: int = 5) -> control.State
         raise ValueError(f"order must be at most 10, got {order}")
     sys = state_space(sys)
     if _validate.is_discrete(sys.dt):
-        dt = float(sys.dt or 1)
-        order = round(delay / dt)
-        if abs(delay - order * dt) > 1e-9 * dt:
-            raise ValueError(f"delay must be whole samples of dt = {dt:g}, got {delay:g}")
+        order = int(whole_samples("delay", delay, sys.dt, f", got {delay:g}"))
         wait = control.tf2ss([1.0], [1.0] + [0.0] * order, dt=sys.dt)
     else:
         wait = control.tf2ss(*control.pade(delay, order)) if delay else control.ss([], [], [], 1.0)
-    A, B, C, D = (np.asarray(M) for M in (sys.A, sys.B, sys.C, sys.D))
-    late = [np.kron(np.eye(sys.ninputs), np.asarray(M)) for M in (wait.A, wait.B, wait.C, wait.D)]
+    late = sys * control.append(*[wait] * sys.ninputs)
+    own_first = np.roll(np.arange(late.nstates), sys.nstates)
     names = [f"{label}, delayed [{i}]" for label in sys.input_labels for i in range(wait.nstates)]
-    matrices = (
-        np.block([[A, B @ late[2]], [np.zeros((len(late[0]), len(A))), late[0]]]),
-        np.vstack([B @ late[3], late[1]]),
-        np.hstack([C, D @ late[2]]),
-        D @ late[3],
-    )
+    A, B, C = late.A[np.ix_(own_first, own_first)], late.B[own_first], late.C[:, own_first]
     labels: dict[str, Any] = {"states": [*sys.state_labels, *names], "inputs": sys.input_labels}
     labels |= {"outputs": sys.output_labels, "name": f"{sys.name} with input delay"}
-    return control.ss(*matrices, sys.dt, **labels)
+    return control.ss(A, B, C, late.D, sys.dt, **labels)
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,16 +222,9 @@ def _growth(A: np.ndarray, later: np.ndarray, delay: float, margin: float, omega
     rate = abs((-1j * omega * share / (1 + margin * share)).real * (delay - margin))
     period = 2 * np.pi / omega
     duration = period * np.clip(np.ceil(6 / (rate * period + 1e-9)), _LEAST, _MOST)
-    run = simulate(
-        lambda x, u: A @ x + u,
-        right[:, k].real,
-        lambda x, t: later @ x,
-        times=np.linspace(0, duration, int(60 * duration / period)),
-        delay=delay,
-        rtol=1e-6,
-        atol=1e-12,
-        max_step=delay,
-    )
+    options: dict[str, Any] = {"delay": delay, "max_step": delay, "rtol": 1e-6, "atol": 1e-12}
+    options["times"] = np.linspace(0, duration, int(60 * duration / period))
+    run = simulate(lambda x, u: A @ x + u, right[:, k].real, lambda x, t: later @ x, **options)
     early, late = (
         np.abs(run.states[:, (run.times >= at - period) & (run.times <= at)]).max()
         for at in (duration / 2, duration)

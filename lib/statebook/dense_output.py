@@ -1,7 +1,5 @@
 """What a solver knows between the ends of its steps, and the samples taken from it."""
 
-from __future__ import annotations
-
 import bisect
 from dataclasses import dataclass, replace
 from typing import Any

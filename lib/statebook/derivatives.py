@@ -8,8 +8,6 @@ Where they disagree, a ladder of steps finds the scale of f's own at which diffe
 and what they are worth there; that decides.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -81,14 +79,15 @@ class Derivative(NamedTuple):
     flat: np.ndarray
 
 
-def derivative(
+def differentiate(
     f: Evaluate,
     z: np.ndarray,
     columns: Sequence[int] | None = None,
     *,
     scale: np.ndarray | None = None,
     labels: Sequence[str] | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
+    f0: np.ndarray | None = None,
+) -> Derivative:
     """Differentiate f at each column of z.
 
     Parameters
@@ -103,12 +102,14 @@ def derivative(
         over less, more evaluations find it out.
     labels : sequence of str, optional
         Names of the components of z, for messages.
+    f0 : array, shape (n, N), optional
+        f(z), if known.
 
     Returns
     -------
-    J : array, shape (N, n, c)
-    error : array, shape (N, n, c)
-        Estimated absolute error; 0 where the complex step is exact to rounding.
+    Derivative
+        J and its estimated absolute error, 0 where the complex step is exact to rounding, with
+        the rest of the evidence.
 
     Raises
     ------
@@ -121,43 +122,23 @@ def derivative(
 
     Examples
     --------
-    >>> derivative(np.sin, np.array([[0.0]]))[0]
+    >>> differentiate(np.sin, np.array([[0.0]])).J
     array([[[1.]]])
     """
-    return differentiate(f, z, columns, scale=scale, labels=labels)[:2]
-
-
-def differentiate(
-    f: Evaluate,
-    z: np.ndarray,
-    columns: Sequence[int] | None = None,
-    *,
-    scale: np.ndarray | None = None,
-    labels: Sequence[str] | None = None,
-    f0: np.ndarray | None = None,
-) -> Derivative:
-    """Return what derivative does, with all of its evidence; f0 is f(z), if known."""
+    s = step_scale(z) if scale is None else scale
+    chosen = np.arange(len(z)) if columns is None else np.asarray(columns, dtype=int)
+    names = labels or [f"component {j} of (x, u)" for j in range(len(z))]
     with np.errstate(all="ignore"):
-        return _Differentiation(f, z, columns, scale, labels, f0).result()
+        start = f(z) if f0 is None else f0
+        return _Differentiation(f, names, z, s, chosen, start).result()
 
 
 class _Differentiation:
     """The derivatives of f at points z, while they are being found."""
 
-    def __init__(
-        self,
-        f: Evaluate,
-        z: np.ndarray,
-        columns: Sequence[int] | None,
-        scale: np.ndarray | None,
-        labels: Sequence[str] | None,
-        f0: np.ndarray | None,
-    ) -> None:
-        self.f, self.z = f, z
-        self.columns = np.arange(len(z)) if columns is None else np.asarray(columns, dtype=int)
-        self.s = step_scale(z) if scale is None else scale
-        self.labels = labels or [f"component {j} of (x, u)" for j in range(len(z))]
-        self.f0 = f(z) if f0 is None else f0
+    def __init__(self, f: Evaluate, labels: Sequence[str], *arrays: np.ndarray) -> None:
+        self.f, self.labels = f, labels
+        self.z, self.s, self.columns, self.f0 = arrays
         self.eps = _EPS
         self._note_precision(self.f0)
 
@@ -181,13 +162,8 @@ class _Differentiation:
                 self._check_alone(np.arange(c), np.arange(N), exact is not None)
             else:
                 self._check_jointly()
-        order = (2, 0, 1)
-        return Derivative(
-            self.J.transpose(order),
-            self.error.transpose(order),
-            self.inexact.transpose(order),
-            self.flat.T,
-        )
+        J, error, inexact = (a.transpose(2, 0, 1) for a in (self.J, self.error, self.inexact))
+        return Derivative(J, error, inexact, self.flat.T)
 
     def _check_jointly(self) -> None:
         """Check J of many points along random directions, and alone where that says little."""

@@ -78,7 +78,5 @@ def outside_domain(error: Exception) -> bool:
 
     NumPy returns inf or NaN there; Python's numbers and ``math`` raise.
     """
-    words = str(error)
-    return isinstance(error, ArithmeticError) or (
-        isinstance(error, ValueError) and words.startswith(("math ", "expected a "))
-    )
+    of_math = isinstance(error, ValueError) and str(error).startswith(("math ", "expected a "))
+    return of_math or isinstance(error, ArithmeticError)

@@ -1,7 +1,5 @@
 """Events: the times at which a function of the state passes zero."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -53,9 +51,8 @@ class Watch:
         if terminal.ndim or terminal.dtype.kind not in "biuf" or terminal < 0 or terminal % 1:
             raise ValueError(f"terminal of event {label} must be a bool or a count, got {given!r}")
         self._left = int(terminal) or np.inf
-        self._direction = _validate.number(
-            f"direction of event {label}", getattr(function, "direction", 0)
-        )
+        direction = getattr(function, "direction", 0)
+        self._direction = _validate.number(f"direction of event {label}", direction)
         self._value = self(x, t)
 
     def __call__(self, x: np.ndarray, t: float) -> float:

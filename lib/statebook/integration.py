@@ -1,7 +1,5 @@
 """Fixed-step integration of x' = f(x, t)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Linear and quadratic functions of the state that f conserves."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -80,9 +78,7 @@ def invariants(
     if np.count_nonzero(good) < n + i.size + 5:
         return None
     x, dx = x[:, good], dx[:, good]
-    moving = (
-        np.abs(dx).max(axis=1) > 0
-    )  # a state that never moves is a parameter, and keeps nothing
+    moving = np.abs(dx).max(axis=1) > 0  # what never moves is a parameter, and keeps nothing
     after = x + dx if discrete else x
     pairs = x[i] * dx[j] + after[j] * dx[i] if discrete else x[i] * dx[j] + x[j] * dx[i]
     table = np.concatenate([dx, pairs]).T

@@ -6,8 +6,6 @@ never smooth to the last: its noise is measured on the lowest rungs, and that of
 that rises in stairs (one that rounds, or computes in short precision) by the stairs.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -19,6 +17,7 @@ _ABOVE = 2.0**40  # how far above a small scale the ladder begins, at most at 1
 _TOP = 2.0**0.1  # no multiple of anybody's period
 _CLOSE = np.array([0.3, 3e-2, 3e-3, 3e-4, 1e-6, 1e-9])  # where roughness is measured, of the top
 _EPS = float(np.finfo(float).eps)
+Along = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def romberg(up: np.ndarray, down: np.ndarray, radii: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -81,7 +80,7 @@ class Ladder:
 
 
 def descend(
-    along: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    along: Along,
     f0: np.ndarray,
     z: np.ndarray,
     s: np.ndarray,
@@ -139,9 +138,9 @@ def descend(
     blurred = rough[:, place] * (r / (_CLOSE[place, None] * top))
     noise = np.maximum(rounding + measured[:, None] + blurred, least[:, None])
     noise = noise + np.nan_to_num(_EPS * np.abs(z) * change / r, posinf=0.0)  # z + r is rounded
-    stairs = np.zeros(f0.shape)
-    for slope in [np.zeros(f0.shape)] if exact is None else [np.zeros(f0.shape), exact]:
-        _measure_stairs(stairs, along, values - start, slope, r, noise)
+    flat = np.zeros(f0.shape)
+    slopes = [flat] if exact is None else [flat, exact]
+    stairs = np.max([_stairs(along, values - start, slope, r, noise) for slope in slopes], axis=0)
     noise = noise + stairs[:, None]
 
     value, spread = romberg(up, down, r)
@@ -174,28 +173,18 @@ def descend(
     jump = np.abs(slopes_jump(up, down, start, r))
     kink, rung = _lasting(jump, 20 * noise[:, :-1] / r[:-1])
     kink &= at(rung, jump) > 1e-3 * floor
+    smooth = 1e-3 * rate * s + 16 * rough.max(axis=1) + 8 * least
     for side in (up, down):  # a jump at the point itself
         gap = np.abs(side - start)[:, -8:]
-        kink |= gap.min(axis=1) > np.maximum(
-            0.5 * gap.max(axis=1), 1e-3 * rate * s + 16 * rough.max(axis=1) + 8 * least
-        )
+        kink |= gap.min(axis=1) > np.maximum(0.5 * gap.max(axis=1), smooth)
     sides = np.stack([at(rung, (start - down) / r), at(rung, (up - start) / r)])
     bend = at(best, np.abs(even) / r**2)
     excess = measured - 8 * at(best, rounding)
     residue = 2 * _EPS * np.abs(z) * bend + 4 * np.maximum(excess, 0.0) / at(best, r)
     residue = residue + 8 * at(best, blurred / r)
-    nan = np.isnan(up) | np.isnan(down)
-    return Ladder(
-        value=taken,
-        error=err,
-        residue=residue,
-        still=~(values != start).any(axis=1),
-        undefined=nan[:, -12:].all(axis=1) | np.isinf(err),
-        kink=kink,
-        unsettled=unsettled,
-        sides=sides,
-        rate=rate,
-    )
+    still, nan = ~(values != start).any(axis=1), np.isnan(up) | np.isnan(down)
+    undefined = nan[:, -12:].all(axis=1) | np.isinf(err)
+    return Ladder(taken, err, residue, still, undefined, kink, unsettled, sides, rate)
 
 
 def _roughness(moved: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -224,24 +213,17 @@ def _lasting(jump: np.ndarray, floor: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return kink[:, 0], np.maximum(last - 8, 0)
 
 
-def _measure_stairs(
-    stairs: np.ndarray,
-    along: Callable[[np.ndarray, np.ndarray], np.ndarray],
-    change: np.ndarray,
-    slope: np.ndarray,
-    r: np.ndarray,
-    noise: np.ndarray,
-) -> None:
-    """Enter the height of the stairs in which a row rises beside its slope, in place.
+def _stairs(
+    along: Along, change: np.ndarray, slope: np.ndarray, r: np.ndarray, noise: np.ndarray
+) -> np.ndarray:
+    """Return the height of the stairs in which a row rises beside its slope, (n, P).
 
     The row is level on all rungs below some, and steps up by more than its noise there: it
     has stairs if it does so again and again, and not only once, as a saturation does.
     """
-    rungs = len(r)
-    rest = np.maximum(
-        np.abs(change[:, :rungs] - slope[:, None] * r),
-        np.abs(change[:, rungs:] + slope[:, None] * r),
-    )
+    rungs, stairs = len(r), np.zeros(slope.shape)
+    line = slope[:, None] * r
+    rest = np.maximum(np.abs(change[:, :rungs] - line), np.abs(change[:, rungs:] + line))
     level = rest <= np.where(slope[:, None] == 0, 0.0, 2 * noise)
     below = np.logical_and.accumulate(level[:, ::-1], axis=1)[:, ::-1]
     first = np.argmax(below, axis=1)
@@ -255,5 +237,6 @@ def _measure_stairs(
             riser = ~(rise <= max(4 * noise[i, rung, p], 1e-3 * np.nanmax(rise)))
             steps = int(riser[0]) + np.count_nonzero(riser[1:] & ~riser[:-1])
             if steps >= 3 and 2 * np.count_nonzero(riser) < riser.size:
-                stairs[i, p] = max(stairs[i, p], np.nanmax(rise))
+                stairs[i, p] = np.nanmax(rise)
                 break
+    return stairs

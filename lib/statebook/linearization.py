@@ -83,13 +83,13 @@ def jacobians(
     x0, u0 = point(system, x0, u0)
     x, u = (a if a.ndim == 1 else a[:, 0] for a in (x0, u0))
     t = time_of(system, x, u, t)
-    f0 = system.dynamics(x0, u0 if u0.ndim <= x0.ndim else u, t)  # reports what is wrong with f
+    one_each = u0.ndim <= x0.ndim
+    f0 = system.dynamics(x0, u0 if one_each else u, t)  # reports what is wrong with f
     columns, split = _columns(system, states, inputs)
-    J, error, inexact, _ = jacobian(
-        system, x0, u0, t, columns=columns, scale=scale, f0=f0 if u0.ndim <= x0.ndim else None
-    )
-    warn_of_differences(system, error, inexact)
-    A, B = J[..., :split], J[..., split:]
+    known = f0 if one_each else None
+    found = jacobian(system, x0, u0, t, columns=columns, scale=scale, f0=known)
+    warn_of_differences(system, found.error, found.inexact)
+    A, B = found.J[..., :split], found.J[..., split:]
     return (A[0], B[0]) if x0.ndim == u0.ndim == 1 else (A, B)
 
 
@@ -152,9 +152,8 @@ def jacobian_at_rest(
     kept = np.arange(z.size) if columns is None else np.asarray(columns, dtype=int)
     f0 = system.dynamics(x0, u0, t)
     rest = f0 - x0 if system.discrete else f0
-    (J,), (error,), (inexact,), (flat,) = jacobian(
-        system, x0, u0, t, columns=columns, scale=scale, f0=f0
-    )
+    found = jacobian(system, x0, u0, t, columns=columns, scale=scale, f0=f0)
+    J, error, inexact, flat = (part[0] for part in found)
     slope = J - np.eye(n, z.size)[:, kept] if system.discrete else J
     s = scale_of(system, z[:, None], scale)[:, 0]
 

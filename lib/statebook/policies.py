@@ -73,24 +73,17 @@ class Control:
             yield Stretch(a, b, _polynomial(coefficients, float(plan.breakpoints[k])))
 
     def delayed(
-        self,
-        delay: float,
-        before: np.ndarray,
-        start: float,
-        end: float,
-        switches: np.ndarray,
-        steps: Steps,
+        self, delay: float, before: np.ndarray, switches: np.ndarray, steps: Steps
     ) -> tuple[Control, np.ndarray]:
         """The control that arrives `delay` later, and its switches; until then `before`."""
-        first = np.reshape(before, (1, 1, -1))
+        first, start = np.reshape(before, (1, 1, -1)), float(steps.times[0])
         if self.plan is not None:
-            own = self.plan.between(start, end)
+            own = self.plan.between(start, float(steps.times[-1]))
             coefficients = np.zeros((len(own.coefficients), 1, first.size))
             coefficients[-1] = first[0]
-            plan = ControlTrajectory(
-                np.concatenate([[start], own.breakpoints + delay]),
-                np.concatenate([coefficients, own.coefficients], axis=1),
-            )
+            breakpoints = np.concatenate([[start], own.breakpoints + delay])
+            coefficients = np.concatenate([coefficients, own.coefficients], axis=1)
+            plan = ControlTrajectory(breakpoints, coefficients)
             return of_plan(plan, self.m, self.batch), np.empty(0)
 
         early = [start, *switches.tolist(), np.inf]

@@ -1,7 +1,5 @@
 """What a plain function can do, found by calling it."""
 
-from __future__ import annotations
-
 import inspect
 import re
 import warnings
@@ -167,9 +165,8 @@ def takes_batches(
     if expected is None or batch.shape != expected.shape:
         return False
     # Equal to the bit, most are: that is found much faster.
-    return bool((batch == expected).all()) or bool(
-        np.allclose(batch, expected, rtol=rtol, atol=0, equal_nan=True)
-    )
+    same = bool((batch == expected).all())
+    return same or np.allclose(batch, expected, rtol=rtol, atol=0, equal_nan=True)
 
 
 def depends_on_time(

@@ -1,7 +1,5 @@
 """The rates of systems as functions of a module, not closures: so that a system pickles."""
 
-from __future__ import annotations
-
 import copyreg
 from collections.abc import Callable
 from functools import partial

@@ -1,7 +1,5 @@
 """The residual of an equilibrium, its derivatives, and its noise."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
@@ -90,15 +88,13 @@ def jacobian(
     x, u = (a[:, None] if a.ndim == 1 else a for a in (x0, u0))
     N = max(x.shape[1], u.shape[1])
     z = np.concatenate([a if a.shape[1] == N else np.repeat(a, N, axis=1) for a in (x, u)])
-    n = system.n
-    return differentiate(
-        lambda z: system.probe(z[:n], z[n:], t),
-        z,
-        columns,
-        scale=scale_of(system, z, scale),
-        labels=(*system.states, *system.inputs),
-        f0=None if f0 is None else f0.reshape(n, N),
-    )
+    n, labels = system.n, (*system.states, *system.inputs)
+
+    def f(z: np.ndarray) -> np.ndarray:
+        return system.probe(z[:n], z[n:], t)
+
+    s, start = scale_of(system, z, scale), None if f0 is None else f0.reshape(n, N)
+    return differentiate(f, z, columns, scale=s, labels=labels, f0=start)
 
 
 def noise_of(residual: Any, z: np.ndarray, s: np.ndarray) -> np.ndarray:

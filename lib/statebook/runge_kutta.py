@@ -1,7 +1,5 @@
 """Runge-Kutta methods: tableaus, stability functions, amplification matrices."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -60,16 +58,14 @@ class ButcherTableau:
 
     def __post_init__(self) -> None:
         _validate.integer("order", self.order, 1)
-        object.__setattr__(self, "A", tuple(_fractions("A", row) for row in self.A))
-        object.__setattr__(self, "b", _fractions("b", self.b))
-        object.__setattr__(self, "c", _fractions("c", self.c))
-        lengths = [len(row) for row in self.A] + [len(self.b), len(self.c)]
-        if self.b_embedded is not None:
-            object.__setattr__(self, "b_embedded", _fractions("b_embedded", self.b_embedded))
-            lengths.append(len(self.b_embedded))
-        if set(lengths) != {len(self.A)}:
+        A = tuple(_fractions("A", row) for row in self.A)
+        names = ("b", "c") if self.b_embedded is None else ("b", "c", "b_embedded")
+        vectors = {name: _fractions(name, getattr(self, name)) for name in names}
+        vars(self).update(A=A, **vectors)
+        lengths = [len(row) for row in (*A, *vectors.values())]
+        if set(lengths) != {len(A)}:
             raise ValueError(
-                f"a tableau of {len(self.A)} stages needs rows of A, b and c of that length, "
+                f"a tableau of {len(A)} stages needs rows of A, b and c of that length, "
                 f"got lengths {lengths}"
             )
 
@@ -91,12 +87,12 @@ class ButcherTableau:
     @cached_property
     def numerator(self) -> np.ndarray:
         """Coefficients of det(I - z A + z e b^T), ascending powers of z."""
-        return _determinant([[a - b for a, b in zip(row, self.b, strict=True)] for row in self.A])
+        return _determinant(np.array(self.A) - np.array(self.b))
 
     @cached_property
     def denominator(self) -> np.ndarray:
         """Coefficients of det(I - z A), ascending powers of z."""
-        return _determinant([list(row) for row in self.A])
+        return _determinant(np.array(self.A))
 
     def stability_function(self, z: complex | np.ndarray) -> complex | np.ndarray:
         """Growth factor R(z) of one step on x' = lambda x, z = h lambda.
@@ -137,23 +133,16 @@ def _fractions(name: str, values: Any) -> tuple[Fraction, ...]:
         raise TypeError(f"{name} must hold finite numbers, got {values!r}") from error
 
 
-def _determinant(M: list[list[Fraction]]) -> np.ndarray:
+def _determinant(M: np.ndarray) -> np.ndarray:
     """Coefficients of det(I - z M), ascending, by Faddeev and LeVerrier in exact fractions."""
-    size = len(M)
-    coefficients = [Fraction(1)]
-    product = [[Fraction(0)] * size for _ in range(size)]
-    for power in range(1, size + 1):
+    coefficients, product = [Fraction(1)], 0 * M
+    for power in range(1, len(M) + 1):
         # Invariant: product = M^(p-1) + c_1 M^(p-2) + ... + c_(p-1) I, then multiplied by M.
-        for i in range(size):
-            product[i][i] += coefficients[-1]
-        product = [
-            [sum((M[i][k] * product[k][j] for k in range(size)), Fraction(0)) for j in range(size)]
-            for i in range(size)
-        ]
-        coefficients.append(-sum((product[i][i] for i in range(size)), Fraction(0)) / power)
+        product = M @ (product + np.diag([coefficients[-1]] * len(M)))
+        coefficients.append(-np.trace(product) / power)
     while coefficients[-1] == 0:
         coefficients.pop()
-    result = np.array([float(c) for c in coefficients])
+    result = np.array(coefficients, dtype=float)
     result.setflags(write=False)
     return result
 
@@ -175,27 +164,23 @@ _DORMAND_PRINCE = ButcherTableau(
     b_embedded=["5179/57600", 0, "7571/16695", "393/640", "-92097/339200", "187/2100", "1/40"],
 )
 
-#: The Runge-Kutta methods by name.
-METHODS = MappingProxyType(
-    {
-        tableau.name: tableau
-        for tableau in (
-            ButcherTableau("euler", [[0]], [1], [0], order=1),
-            ButcherTableau("midpoint", [[0, 0], ["1/2", 0]], [0, 1], [0, "1/2"], order=2),
-            ButcherTableau("heun", [[0, 0], [1, 0]], ["1/2", "1/2"], [0, 1], order=2),
-            ButcherTableau(
-                "rk4",
-                [[0, 0, 0, 0], ["1/2", 0, 0, 0], [0, "1/2", 0, 0], [0, 0, 1, 0]],
-                ["1/6", "1/3", "1/3", "1/6"],
-                [0, "1/2", "1/2", 1],
-                order=4,
-            ),
-            _DORMAND_PRINCE,
-            ButcherTableau("backward_euler", [[1]], [1], [1], order=1),
-            ButcherTableau("implicit_midpoint", [["1/2"]], [1], ["1/2"], order=2),
-        )
-    }
+_TABLEAUS = (
+    ButcherTableau("euler", [[0]], [1], [0], order=1),
+    ButcherTableau("midpoint", [[0, 0], ["1/2", 0]], [0, 1], [0, "1/2"], order=2),
+    ButcherTableau("heun", [[0, 0], [1, 0]], ["1/2", "1/2"], [0, 1], order=2),
+    ButcherTableau(
+        "rk4",
+        [[0, 0, 0, 0], ["1/2", 0, 0, 0], [0, "1/2", 0, 0], [0, 0, 1, 0]],
+        ["1/6", "1/3", "1/3", "1/6"],
+        [0, "1/2", "1/2", 1],
+        order=4,
+    ),
+    _DORMAND_PRINCE,
+    ButcherTableau("backward_euler", [[1]], [1], [1], order=1),
+    ButcherTableau("implicit_midpoint", [["1/2"]], [1], ["1/2"], order=2),
 )
+#: The Runge-Kutta methods by name.
+METHODS = MappingProxyType({tableau.name: tableau for tableau in _TABLEAUS})
 
 
 def as_tableau(method: str | ButcherTableau) -> ButcherTableau:

@@ -1,7 +1,5 @@
 """A run of a simulation, from its first step to its trajectory."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Iterable
 
@@ -20,6 +18,7 @@ _CONTRADICTION = 1e4  # tolerances
 _LOOSE = 0.3  # of the states: what no tolerance makes a contradiction
 
 
+@np.errstate(all="ignore")
 def through(
     flow: Flow,
     steps: Steps,
@@ -32,7 +31,7 @@ def through(
     """Run a system through stretches; control() is asked at the end."""
     system = flow.system
     stop = None
-    with np.errstate(all="ignore"), warnings.catch_warnings():
+    with warnings.catch_warnings():
         # An overflow is reported as the divergence it is; the solver's status says the rest.
         warnings.filterwarnings("ignore", module=r"scipy\.")
         try:
@@ -42,8 +41,7 @@ def through(
                 fixed_steps(flow, steps, stretches, solver.method)
         except StoppedError as stopped:
             stop = stopped
-    with np.errstate(all="ignore"):
-        dense, felt = steps.settle(), control()
+    dense, felt = steps.settle(), control()
     times, states = steps.taken_samples()
     beyond = ~np.isfinite(states.reshape(-1, len(times))).all(axis=0)
     if beyond.any():  # within the last step, or where an interpolation asks outside the domain
@@ -51,24 +49,21 @@ def through(
         stop = stop or StoppedError("the interpolation is not finite", times[-1], states[..., -1])
     controls = None
     if system.m:
-        with np.errstate(all="ignore"):
-            at = times[:-1] if per_interval else times
-            if felt.plan is not None:
-                controls = felt.plan(at).reshape(system.m, *felt.batch, len(at))
-            else:
-                given = zip(np.moveaxis(states, -1, 0), at.tolist(), strict=False)
-                controls = np.stack([flow.control(felt.policy, *xt) for xt in given], axis=-1)
+        at = times[:-1] if per_interval else times
+        if felt.plan is not None:
+            controls = felt.plan(at).reshape(system.m, *felt.batch, len(at))
+        else:
+            given = zip(np.moveaxis(states, -1, 0), at.tolist(), strict=False)
+            controls = np.stack([flow.control(felt.policy, *xt) for xt in given], axis=-1)
     if controls is not None and not np.isfinite(controls).all():
         if stop is None:
             k = int(np.argmin(np.isfinite(controls).reshape(-1, controls.shape[-1]).all(axis=0)))
             raise ValueError(f"u(x, t) must be finite, got {controls[..., k]} at t = {times[k]:g}")
         controls = None  # the control is what stopped the simulation
-    labels = system.inputs if controls is not None else None
-    run = of_run(
-        Trajectory(times, states, controls, (), system.states, labels, tuple(solver.found)),
-        dense,
-        felt.plan if system.m and controls is not None else None,
-    )
+    labels, plan = (None, None) if controls is None else (system.inputs, felt.plan)
+    found = tuple(solver.found)
+    samples = Trajectory(times, states, controls, (), system.states, labels, found)
+    run = of_run(samples, dense, plan)
     if stop is not None:
         raise DivergenceError(
             f"simulation of {system.name} stopped at t = {stop.time:.6g}, x = "
@@ -79,8 +74,7 @@ def through(
             trajectory=run,
         )
     if felt.is_policy and controls is not None and dense is not None and dense.curve:
-        with np.errstate(all="ignore"):
-            _warn_of_contradiction(run, dense, controls, flow, solver)
+        _warn_of_contradiction(run, dense, controls, flow, solver)
     return run
 
 
@@ -109,5 +103,5 @@ def _warn_of_contradiction(
         warnings.warn(
             f"the control returned at t = {run.times[k]:.6g} is not one that the motion felt: a "
             "pulse was stepped over; give max_step=, or the times of the pulse as switches=",
-            stacklevel=4,
+            stacklevel=5,
         )

@@ -1,7 +1,5 @@
 """Simulation: a system from an initial state under a control, or under a clock."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -19,7 +17,7 @@ from statebook.runs import may_vary, through
 from statebook.solvers import SOLVERS
 from statebook.stepping import Flow, Solver
 from statebook.systems import System, as_system
-from statebook.times import increasing, tick
+from statebook.times import increasing, tick, whole_samples
 from statebook.trajectory import Trajectory
 
 _FIXED_STEP = (*METHODS, SEMI_IMPLICIT_EULER)
@@ -146,13 +144,13 @@ def simulate(
     known = _checked(known, solver, events, x0, first, start)
     steps = Steps(x0, times, by_rows=solver.by_rows, all_kept=delay > 0)
     if known.discrete:
-        _whole("delay", delay, known, f", got {delay:g}")
+        whole_samples("delay", delay, known.dt, f", got {delay:g}")
         return _iterated(known, steps, solver, control.policy, delay, before)
     end = float(times[-1])
     if delay > 1e-11 * (end - start):  # below, it is lost in the rounding of t
         if method in _FIXED_STEP:
             raise ValueError(f'delay needs a solver with error control, got method "{method}"')
-        control, marks = control.delayed(delay, before, start, end, switches, steps)
+        control, marks = control.delayed(delay, before, switches, steps)
         switches = np.union1d(switches, marks)
         if control.is_policy:  # the past must be known
             solver.max_step = min(solver.max_step, delay)
@@ -253,7 +251,7 @@ def simulate_clocked(
     times[::samples] = ticks
     steps = Steps(x0, times, by_rows=solver.by_rows)
     if known.discrete:
-        _whole("period / samples", period / samples, known, f", got {period / samples:g}")
+        whole_samples("period / samples", period / samples, known.dt, f", got {period / samples:g}")
         return _iterated(known, steps, solver, clock.sample, 0.0, before, per_interval=True)
     if max_step is None and may_vary(known):
         solver.stay_within(times)
@@ -306,13 +304,9 @@ def _solver(method: str, rtol: Any, atol: Any, max_step: Any, max_steps: Any, n:
         raise ValueError(f"atol must be a number or have shape ({n},), got {atol.shape}")
     if np.any(atol <= 0):
         raise ValueError(f"atol must be greater than 0, got {atol.min():g}")
-    return Solver(
-        method,
-        _validate.positive("rtol", rtol),
-        atol,
-        np.inf if max_step is None else _limit("max_step", max_step),
-        None if max_steps is None else _limit("max_steps", max_steps),
-    )
+    longest = np.inf if max_step is None else _limit("max_step", max_step)
+    most = None if max_steps is None else _limit("max_steps", max_steps)
+    return Solver(method, _validate.positive("rtol", rtol), atol, longest, most)
 
 
 def _limit(name: str, value: Any) -> float:
@@ -346,16 +340,6 @@ def _checked(
     return system if agrees else replace(system, batched=False)
 
 
-def _whole(name: str, spans: Any, system: System, got: str, rounding: float = 1e-9) -> Any:
-    """Return spans of time as whole samples; single precision is told by its rounding."""
-    dt = float(system.dt or 1)
-    counts = np.round(np.divide(spans, dt))
-    allowed = np.minimum(rounding * np.maximum(dt, np.abs(spans)), 0.01 * dt)
-    if np.any(np.abs(spans - counts * dt) > allowed):
-        raise ValueError(f"{name} must be whole samples of dt = {dt:g}{got}")
-    return counts
-
-
 def _times(given: np.ndarray | None, duration: Any, start: float, system: System) -> np.ndarray:
     if (given is None) == (duration is None):
         raise ValueError("give either duration or times" + (", not both" if duration else ""))
@@ -363,9 +347,10 @@ def _times(given: np.ndarray | None, duration: Any, start: float, system: System
         duration = _validate.positive("duration", duration)
         if not system.discrete:
             return np.linspace(start, start + duration, _SAMPLES)
-        counts = np.arange(_whole("duration", duration, system, f" apart, got {duration}") + 1)
+        number = whole_samples("duration", duration, system.dt, f" apart, got {duration}")
+        counts = np.arange(number + 1)
     elif system.discrete:
-        counts = _whole("times", given - start, system, f" apart, got {given}", 1e-6)
+        counts = whole_samples("times", given - start, system.dt, f" apart, got {given}", 1e-6)
     else:
         return given
     return np.array([tick(start, float(system.dt or 1), k) for k in counts])

@@ -1,7 +1,5 @@
 """SciPy's solvers, each trajectory of a batch held to its own tolerance."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

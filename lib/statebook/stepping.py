@@ -1,7 +1,5 @@
 """How a simulation goes from sample to sample: by iteration, fixed steps, or a solver."""
 
-from __future__ import annotations
-
 import bisect
 import warnings
 from collections.abc import Iterable
@@ -280,15 +278,12 @@ class Solver:
         self._pace = max(self._pace, length)
         most = self.max_steps or (_MANY if length < _COLLAPSED * self._pace else _HOPELESS)
         if count + ahead > most:
-            raise StoppedError(
-                f"with steps of {length:.0e} s it would take more than {most:g} of them; {_HINT}",
-                steps.time,
-                steps.state,
-            )
+            said = f"with steps of {length:.0e} s it would take more than {most:g} of them; {_HINT}"
+            raise StoppedError(said, steps.time, steps.state)
         if ahead > _MANY and count == _CHECK_EVERY:
             warnings.warn(
                 f"with steps of {length:.0e} s it will take some {ahead:.0e} of them; {_HINT}",
-                stacklevel=6,
+                stacklevel=7,
             )
 
 

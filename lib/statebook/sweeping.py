@@ -1,7 +1,5 @@
 """Evaluate a function over a grid of parameters, on one machine or many."""
 
-from __future__ import annotations
-
 import hashlib
 import inspect
 import itertools
@@ -157,7 +155,8 @@ def sweep(
                     return done.result(shape)
                 workers = workers or multiprocessing.active_children()
                 ended = wait(pending, return_when=FIRST_COMPLETED).done
-                for future in sorted(ended, key=_failed):  # what succeeded is kept first
+                # What succeeded is kept first.
+                for future in sorted(ended, key=lambda f: f.cancelled() or bool(f.exception())):
                     part = pending[future]
                     try:
                         found = future.result()
@@ -179,10 +178,6 @@ def sweep(
             for other in pending:
                 other.cancel()
             raise
-
-
-def _failed(future: Any) -> bool:
-    return future.cancelled() or future.exception() is not None
 
 
 def _of_variant(function: Callable[..., Any], model: Any, /, **values: Any) -> Any:
@@ -366,6 +361,5 @@ def _death(grid: Mapping[str, Any], lost: Iterable[int], board: Any, workers: Se
     return (
         f"worker process {who + ' ' if who else ''}died at {', '.join(shown)}: killed, out of"
         " memory or crashed in compiled code; a script must call sweep under if __name__ =="
-        ' "__main__":,'
-        " and executor=ThreadPoolExecutor() keeps all in one process"
+        ' "__main__":, and executor=ThreadPoolExecutor() keeps all in one process'
     )

@@ -1,7 +1,5 @@
 """One view of every kind of system: x' = f(x, u), or x_next = f(x, u)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
@@ -140,8 +138,6 @@ class System:
                 except Exception:  # one column's, perhaps
                     if np.iscomplexobj(x):
                         raise
-                    if x.shape[1] == 1:
-                        return np.full(x.shape, np.nan)
             columns = []
             for column in zip(x.T, u.T, strict=True):
                 try:
@@ -239,21 +235,17 @@ def _from_model(model: Any) -> System:
     plain = getattr(type(model), "dynamics", None) is Model.dynamics
     # Its dynamics would check once more what System does.
     rate = model.rate if plain else partial(rates.of_model, model.dynamics)
-    return System(
-        rate=rate,
-        states=tuple(model.states),
-        inputs=tuple(model.inputs),
-        linear=getattr(model, "linear", False),
-        name=type(model).__name__,
-        source=model,
-    )
+    labels, linear = (tuple(model.states), tuple(model.inputs)), getattr(model, "linear", False)
+    return System(rate, *labels, linear=linear, name=type(model).__name__, source=model)
 
 
 def _from_control(sys: Any) -> System:
     import control
 
     rates.make_portable(control.StateSpace)
-    if isinstance(sys, control.StateSpace):
+    linear = isinstance(sys, control.StateSpace)
+    rate: Any
+    if linear:
         rate = partial(rates.linear, np.asarray(sys.A), np.asarray(sys.B))
     elif isinstance(sys, control.NonlinearIOSystem) and sys.nstates is not None:
         rate = partial(rates.of_control, sys)
@@ -262,17 +254,8 @@ def _from_control(sys: Any) -> System:
             f"system must be in state space, got {type(sys).__name__};"
             " convert it with control.ss() first"
         )
-    return System(
-        rate=rate,
-        states=tuple(sys.state_labels),
-        inputs=tuple(sys.input_labels),
-        dt=sys.dt,
-        linear=isinstance(sys, control.StateSpace),
-        name=sys.name,
-        source=sys,
-        batched=isinstance(sys, control.StateSpace),
-        timed=not isinstance(sys, control.StateSpace),
-    )
+    labels = tuple(sys.state_labels), tuple(sys.input_labels)
+    return System(rate, *labels, sys.dt, linear, sys.name, sys, batched=linear, timed=not linear)
 
 
 def _from_function(
@@ -281,9 +264,7 @@ def _from_function(
     state_name, input_name = names
     if x0 is None:
         raise ValueError(f"{state_name} is required for a function: its length tells the state's")
-    x0 = _validate.array(state_name, x0)
-    if x0.ndim not in (1, 2):
-        raise ValueError(f"{state_name} must have shape (n,) or (n, N), got {x0.shape}")
+    x0 = _validate.vectors(state_name, x0, "n")
     if dt is not None and dt is not True:
         dt = _validate.non_negative("dt", dt)
     required, accepted = arguments_of(f)
@@ -304,27 +285,18 @@ def _from_function(
                 f" input's; write {input_name}=np.zeros(m)"
             )
         u0 = np.zeros(m)
-    u0 = _validate.array(input_name, u0) if u0 is not None else np.zeros(0)
-    if u0.ndim not in (1, 2):
-        raise ValueError(f"{input_name} must have shape (m,) or (m, N), got {u0.shape}")
+    u0 = _validate.vectors(input_name, u0, "m") if u0 is not None else np.zeros(0)
     drive = u0 if u0.ndim == 1 else u0[:, 0]
 
-    def at_start(x: np.ndarray, u: np.ndarray) -> np.ndarray:
-        return rate(x, u, 0.0)
-
+    at_start = partial(rate, t=0.0)
     require_pure(lambda x, u: copied(f(*(x, u, 0.0)[:number])), (state, drive))
     columns = next(N for N in (3, 4, 5) if N not in (state.size, drive.size))
     beside = spread_beside(state, columns), spread_beside(drive, columns)
-    return System(
-        rate=rate,
-        states=tuple(f"x[{i}]" for i in range(state.size)),
-        inputs=tuple(f"u[{i}]" for i in range(drive.size)),
-        dt=dt,
-        name=getattr(f, "__name__", type(f).__name__).replace("<lambda>", "function"),
-        source=f,
-        batched=takes_batches(at_start, *beside, alone=at_start, rtol=1e-12),
-        timed=timed,
-    )
+    batched = takes_batches(at_start, *beside, alone=at_start, rtol=1e-12)
+    states = tuple(f"x[{i}]" for i in range(state.size))
+    inputs = tuple(f"u[{i}]" for i in range(drive.size))
+    name = getattr(f, "__name__", type(f).__name__).replace("<lambda>", "function")
+    return System(rate, states, inputs, dt, name=name, source=f, batched=batched, timed=timed)
 
 
 def time_of(system: System, x: np.ndarray, u: np.ndarray, t: float | None) -> float:

@@ -1,7 +1,5 @@
 """Increasing times: checks, and which interval a time falls into."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -61,3 +59,15 @@ def tick(start: float, dt: float, k: int) -> float:
     t = float(start + k * dt)
     short = float(f"{t:.12g}")
     return short if abs(short - t) <= _ROUNDING * max(abs(t), abs(start)) else t
+
+
+def whole_samples(
+    name: str, spans: Any, dt: float | bool | None, got: str, rounding: float = 1e-9
+) -> Any:
+    """Return spans of time as whole samples; single precision is told by its rounding."""
+    dt = float(dt or 1)
+    counts = np.round(np.divide(spans, dt))
+    allowed = np.minimum(rounding * np.maximum(dt, np.abs(spans)), 0.01 * dt)
+    if np.any(np.abs(spans - counts * dt) > allowed):
+        raise ValueError(f"{name} must be whole samples of dt = {dt:g}{got}")
+    return counts

@@ -1,7 +1,5 @@
 """A model with other values of its parameters."""
 
-from __future__ import annotations
-
 import copy
 import inspect
 from collections.abc import Mapping

@@ -306,5 +306,11 @@ def with_invariants(
 
 def cleaned(problem: Problem, z: np.ndarray) -> np.ndarray:
     """Return z with zeros for what is less than rounding, if that is as good."""
-    clean = np.where(np.abs(z) < _EPS * problem.s, 0.0, z)
-    return clean if (np.abs(problem(clean)) <= np.abs(problem(z))).all() else z
+    J = problem.jacobian(z)
+    rounding = 16 * _EPS * np.abs(J * z).sum(axis=1)
+    inverse = np.linalg.pinv(J * problem.s, rcond=RANK)
+    for blur in (np.abs(inverse) @ rounding, _EPS):
+        clean = np.where(np.abs(z) < blur * problem.s, 0.0, z)
+        if (np.abs(problem(clean)) <= np.abs(problem(z)) + rounding).all():
+            z = clean
+    return z

@@ -271,16 +271,20 @@ def test_a_bad_tag_stops_only_its_own_notebook(tmp_path):
     assert "b.ipynb" in done.stderr and "1 of 2 notebooks failed: a.ipynb" in done.stderr
 
 
-def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
+@pytest.mark.parametrize("step", ["chmod", "replace"])
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()])
+def test_a_failed_or_interrupted_write_leaves_the_old_file_alone(
+    tmp_path, monkeypatch, step, error
+):
     path = tmp_path / "a.ipynb"
     write(new_notebook(cells=cells("x = 1")), path)
     before = path.read_bytes()
 
-    def full(*_):
-        raise OSError(28, "No space left on device")
+    def ends(*_):
+        raise error
 
-    monkeypatch.setattr(os, "replace", full)
-    with pytest.raises(NotebookError, match="the old file is untouched"):
+    monkeypatch.setattr(os, step, ends)
+    with pytest.raises((NotebookError, KeyboardInterrupt), match=r"the old file is untouched|^$"):
         write(new_notebook(cells=cells("x = 2")), path)
     assert path.read_bytes() == before and [f.name for f in tmp_path.iterdir()] == ["a.ipynb"]
 

@@ -1,7 +1,5 @@
 """A new notebook for the analysis of one's own model."""
 
-from __future__ import annotations
-
 import json
 import re
 from importlib.resources import files

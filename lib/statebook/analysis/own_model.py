@@ -1,7 +1,5 @@
 """A model as its owner states it: states, units, operating point, limits; and what is odd in it."""
 
-from __future__ import annotations
-
 import inspect
 import warnings
 from collections.abc import Mapping, Sequence
@@ -247,19 +245,15 @@ def _limits(limits: Any, known: Sequence[str], at: Any, units: Any) -> dict[str,
 
 def _uncertain(f: Any, uncertain: Any) -> dict[str, tuple[float, float]]:
     """Return the value of each parameter that is named, and its relative error."""
-    errors = dict(uncertain or {})
     values = {**vars(f), **getattr(f, "params", {})} if hasattr(f, "__dict__") else {}
     if inspect.isfunction(f):
         values = {name: p.default for name, p in inspect.signature(f).parameters.items()}
-    numbers = {
-        n: v for n, v in values.items() if isinstance(v, Real) and n in (parameters_of(f) or ())
-    }
-    for name in errors:
+    known, found = parameters_of(f) or (), {}
+    numbers = {n: v for n, v in values.items() if isinstance(v, Real) and n in known}
+    for name, error in (uncertain or {}).items():
         _validate.choice("uncertain", name, numbers)
-    return {
-        name: (float(numbers[name]), _validate.positive(f"uncertain[{name!r}]", error))
-        for name, error in errors.items()
-    }
+        found[name] = float(numbers[name]), _validate.positive(f"uncertain[{name!r}]", error)
+    return found
 
 
 def _require_one_set_of_units(

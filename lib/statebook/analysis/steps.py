@@ -1,7 +1,5 @@
 """Steps of a notebook that wait for one another and say in a sentence what is wrong."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 import re
@@ -77,10 +75,8 @@ class _Guarded(ast.NodeTransformer):
     """Wrap a cell that assigns model; what it shows at its end stays outside."""
 
     def visit_Module(self, node: ast.Module) -> ast.Module:
-        if not any(
-            isinstance(part, ast.Name) and part.id == "model" and isinstance(part.ctx, ast.Store)
-            for part in ast.walk(node)
-        ):
+        names = (part for part in ast.walk(node) if isinstance(part, ast.Name))
+        if not any(n.id == "model" and isinstance(n.ctx, ast.Store) for n in names):
             return node
         end = len(node.body) - isinstance(node.body[-1], ast.Expr)
         guard = ast.parse(f"try:\n    pass\nexcept Exception as e:\n    {_FAILED}(e)").body[0]

@@ -1,7 +1,5 @@
 """Controls that are planned in advance."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from statebook import _validate

@@ -1,6 +1,4 @@
-"""PID control of what is measured, its memory a state."""
-
-from __future__ import annotations
+"""PD control of positions; PID control of what is measured, its memory a state."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -11,13 +9,93 @@ from typing import Any
 import numpy as np
 
 from statebook import _validate
-from statebook.controllers import linear
+from statebook.controllers import feedback
 from statebook.equilibrium import find_equilibrium
 from statebook.errors import EquilibriumNotFoundError
 from statebook.residuals import labels_among, point
 from statebook.systems import System, as_system, output_map
 
 Measurement = Callable[[np.ndarray], np.ndarray]
+
+
+def at_rest_at(target: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Return the state (q, v) = (target, 0), and no control."""
+    q = np.atleast_1d(_validate.real_array("target", target))
+    return np.concatenate([q, 0 * q]), 0 * q
+
+
+def held_at(system: System, target: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Return the state at rest at a target of the positions, and the control that holds it."""
+    if not system.m or system.n != 2 * system.m:
+        raise ValueError(
+            f"the system must have positions, as many velocities and as many inputs,"
+            f" got {system.n} states and {system.m} inputs; use LQR, or PID with outputs="
+        )
+    at_rest, idle = at_rest_at(_validate.real_array("target", target, (system.m,)))
+    feedback.require_timeless(system, at_rest, idle)
+    return at_rest, find_equilibrium(system, at_rest, fixed=system.states).u
+
+
+@dataclass(frozen=True, eq=False)
+class PD:
+    """Proportional-derivative control of positions towards a target.
+
+    u = u0 - kp (q - target) - kd v, clipped to the limit, where u0 holds the target.
+
+    Parameters
+    ----------
+    system : system
+        With states (q, v) and one input a position: Particle, Oscillator, Pendulum, PlanarArm.
+    target : array, shape (m,)
+        Positions to hold.
+    kp, kd : float
+        Gains. Those that do not make the target asymptotically stable are refused.
+    limit : float > 0, optional
+        Largest magnitude of each input.
+
+    Raises
+    ------
+    TypeError, ValueError
+        The system has another form, the gains destabilize, the limit cannot hold the target.
+
+    References
+    ----------
+    K. J. Astrom and R. M. Murray, Feedback Systems, 2nd ed., chapter 11.
+
+    Examples
+    --------
+    >>> import statebook as sb
+    >>> PD(sb.Pendulum(), target=[0.0], kp=20.0, kd=3.0)([0.1, 0.0], 0.0).round(6)
+    array([7.8])
+    """
+
+    system: Any
+    target: Any
+    kp: float
+    kd: float
+    limit: float | None = None
+    u0: np.ndarray = field(init=False)
+
+    def __post_init__(self) -> None:
+        at_rest, idle = at_rest_at(self.target)
+        system = as_system(self.system, at_rest, idle)  # of a plain function, they tell n and m
+        kp, kd = _validate.number("kp", self.kp), _validate.number("kd", self.kd)
+        at_rest, u0 = held_at(system, self.target)
+        feedback.limit_of(self.limit, u0, "the target")
+        vars(self).update(u0=u0, target=at_rest[: system.m])
+        loop = as_system(lambda x: system.dynamics(x, self._unlimited(x)), at_rest, dt=system.dt)
+        loop = replace(loop, linear=system.linear)
+        feedback.require_stable(loop, at_rest, f"the gains kp = {kp:g}, kd = {kd:g}")
+
+    def _unlimited(self, x: np.ndarray) -> np.ndarray:
+        q, v = np.split(x, 2)
+        u0, target = feedback.columns(self.u0, x), feedback.columns(self.target, x)
+        return u0 - self.kp * (q - target) - self.kd * v
+
+    def __call__(self, x: Any, t: float) -> np.ndarray:
+        """Evaluate u(x, t), shape (m,) or (m, N)."""
+        x = feedback.state_of(x, 2 * len(self.u0))
+        return feedback.saturate(self._unlimited(x), self.limit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,17 +173,15 @@ class PID:
     gains: tuple[np.ndarray, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        limit = None if self.limit is None else _validate.positive("limit", self.limit)
         system, measure = self._plant
         target = np.atleast_1d(_validate.real_array("target", self.target))
         if self._measures(system):
             x0, u0 = self._equilibrium(system, target)
-            linear.require_holding(limit, u0, "the target")
         else:
-            u0 = linear.holding_control(system, self.target, limit)
-            x0 = linear.at_rest_at(target)[0]
+            x0, u0 = held_at(system, self.target)
+        limit = feedback.limit_of(self.limit, u0, "the target")
         names, shape = ("kp", "ki", "kd"), (system.m, len(target))
-        gains = tuple(linear.matrix_of(name, getattr(self, name), shape) for name in names)
+        gains = tuple(feedback.matrix_of(name, getattr(self, name), shape) for name in names)
         filter_time = self.filter_time
         if filter_time is not None:
             _validate.positive("filter_time", filter_time)
@@ -119,7 +195,7 @@ class PID:
         if filter_time is not None:
             at_rest = np.concatenate([at_rest, measure(x0)])
         shown = (f"{name} = {_shown(getattr(self, name))}" for name in names)
-        linear.require_stable(loop, at_rest, f"the gains {', '.join(shown)}")
+        feedback.require_stable(loop, at_rest, f"the gains {', '.join(shown)}")
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in vars(self).items() if name != "_plant"}
@@ -129,7 +205,7 @@ class PID:
         """The system and what is measured of it."""
         x, u = self.x_guess, self.u_guess  # of a plain function, they tell n and m
         if x is None and self.outputs is None:
-            x, u = linear.at_rest_at(self.target)
+            x, u = at_rest_at(self.target)
         u = np.zeros(1) if u is None else u
         system = as_system(self.system, x, u, names=("x_guess", "u_guess"))
         return system, self._measurement(system)
@@ -148,7 +224,7 @@ class PID:
         wanted = own if self.outputs is None else self.outputs
         labelled = np.ndim(wanted) == 1 and all(isinstance(label, str) for label in wanted)
         if not labelled or (self.outputs is not None and set(wanted) <= set(system.states)):
-            C = linear.rows_of("outputs", wanted, system.states)
+            C = feedback.rows_of("outputs", wanted, system.states)
             return lambda x: C @ x
         labels_among("outputs", wanted, (*system.states, *own))
         index = [own.index(label) for label in labels_among("outputs", wanted, own)]
@@ -179,7 +255,7 @@ class PID:
             C = np.stack([measure(e) - y for e in np.eye(n)], axis=1)
             x = np.linalg.lstsq(C, target - y, rcond=None)[0]
 
-        linear.require_timeless(system, x, u)
+        feedback.require_timeless(system, x, u)
         labels = [f"y{i + 1}" for i in range(len(target))]
         seen = SimpleNamespace(output_labels=labels, output=lambda t, x, u: measure(x))
         wanted = dict(zip(labels, target.tolist(), strict=True))
@@ -201,23 +277,25 @@ class PID:
         system = self._plant[0]
         names = ("z",) if self.filter_time is None else ("z", "f")
         memories = dict.fromkeys(names, len(self.target))
-        return linear.closed_loop(system, partial(self._closed, limit), memories, "PID")
+        return feedback.closed_loop(system, partial(self._closed, limit), memories, "PID")
 
     def __call__(self, y: Any, t: float) -> np.ndarray:
         """Evaluate the control at y = (x, z) or (x, z, f), shape (m,) or (m, N)."""
         n, p = len(self.x0), len(self.target)
-        y = linear.state_of(y, n + (1 if self.filter_time is None else 2) * p)
-        return self._control(self._plant[1](y[:n]), y[:n], y[n : n + p], y[n + p :], self.limit)
+        y = feedback.state_of(y, n + (1 if self.filter_time is None else 2) * p)
+        return self._law(y, self.limit)[0]
 
-    def _control(
-        self, y: np.ndarray, x: np.ndarray, z: np.ndarray, f: np.ndarray, limit: float | None
-    ) -> np.ndarray:
+    def _law(self, state: np.ndarray, limit: float | None) -> tuple[np.ndarray, ...]:
+        """Return the control, the error and the rate of y that it acts on."""
+        n, p = len(self.x0), len(self.target)
+        x, z, f = state[:n], state[n : n + p], state[n + p :]
+        y = self._plant[1](x)
+        u0, error = feedback.columns(self.u0, y), y - feedback.columns(self.target, y)
+        rate = x[p:] if self.filter_time is None else (y - f) * self._pace()
         kp, ki, kd = self.gains
-        rate = x[len(self.target) :] if self.filter_time is None else (y - f) * self._pace()
         # Without a filter and a velocity kd is 0.
         derivative = kd @ rate if kd.any() else 0.0
-        error = y - linear.columns(self.target, y)
-        return linear.saturate(linear.columns(self.u0, y) - kp @ error - ki @ z - derivative, limit)
+        return feedback.saturate(u0 - kp @ error - ki @ z - derivative, limit), error, rate
 
     def _pace(self) -> float:
         """What f moves per time and per distance from y [1/s]."""
@@ -232,18 +310,13 @@ class PID:
     def _closed(
         self, limit: float | None, state: np.ndarray, d: np.ndarray, t: float
     ) -> np.ndarray:
-        system, measure = self._plant
-        n, p = system.n, len(self.target)
-        x, z, f = state[:n], state[n : n + p], state[n + p :]
-        y = measure(x)
-        u = self._control(y, x, z, f, limit)
-        error = linear.unwound(y - linear.columns(self.target, y), u, self.gains[1], limit)
-        motion, step = np.asarray(system.rate(x, u + d, t)), self._step()
-        memory = [z + step * error if step else error]
+        n, step = len(self.x0), self._step()
+        u, error, rate = self._law(state, limit)
+        motion = np.asarray(self._plant[0].rate(state[:n], u + d, t))
+        memory = feedback.unwound(error, u, self.gains[1], limit)
         if self.filter_time is not None:
-            left = np.exp(-step / self.filter_time)
-            memory.append(y + left * (f - y) if step else (y - f) * self._pace())
-        return np.concatenate([motion, *memory])
+            memory = np.concatenate([memory, rate])
+        return np.concatenate([motion, state[n:] + step * memory if step else memory])
 
 
 def _shown(gain: Any) -> str:

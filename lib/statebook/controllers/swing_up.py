@@ -1,7 +1,5 @@
 """Swing a pendulum, or the pole of a cart, up and catch it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
@@ -11,7 +9,8 @@ import numpy as np
 
 from statebook import _validate
 from statebook.angles import wrap_angle
-from statebook.controllers.linear import LQR, state_of
+from statebook.controllers.feedback import state_of
+from statebook.controllers.lqr import LQR
 from statebook.models.cart_pole import CartPole
 from statebook.models.pendulum import Pendulum
 from statebook.simulation import simulate
@@ -74,7 +73,7 @@ class SwingUp:
     catch: LQR = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        _require_kind("pendulum", self.pendulum, Pendulum)
+        _validate.instance("pendulum", self.pendulum, Pendulum)
         limit = _validate.positive("limit", self.limit)
         _validate.positive("gain", self.gain)
         if self.pendulum.g == 0:
@@ -160,7 +159,7 @@ def cart_force(cartpole: CartPole, x: Any, acceleration: Any) -> np.ndarray:
     >>> cart_force(CartPole(m_cart=2.0, m_pole=1.0), [0.0, -np.pi / 2, 0.0, 0.0], 3.0).round(9)
     np.float64(6.0)
     """
-    _require_kind("cartpole", cartpole, CartPole)
+    _validate.instance("cartpole", cartpole, CartPole)
     idle = cartpole.dynamics(x, [0.0, 0.0])[2]
     acceleration = _validate.array("acceleration", acceleration)
     if acceleration.shape not in ((), (1,), idle.shape):
@@ -168,11 +167,6 @@ def cart_force(cartpole: CartPole, x: Any, acceleration: Any) -> np.ndarray:
             f"acceleration must be a number or have shape {idle.shape}, got {acceleration.shape}"
         )
     return (acceleration - idle) / (cartpole.dynamics(x, [1.0, 0.0])[2] - idle)
-
-
-def _require_kind(name: str, model: Any, kind: type) -> None:
-    if not isinstance(model, kind):
-        raise TypeError(f"{name} must be a {kind.__name__}, got {type(model).__name__}")
 
 
 def _without_torque(cartpole: CartPole, x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
@@ -243,14 +237,12 @@ class CartPoleSwingUp:
     trial: Trajectory = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        _require_kind("cartpole", self.cartpole, CartPole)
+        _validate.instance("cartpole", self.cartpole, CartPole)
         if not callable(self.acceleration):
             raise TypeError(f"acceleration must be a function of time, got {self.acceleration!r}")
         _validate.positive("switch", self.switch)
         _validate.positive("limit", self.limit)
-        low, high = _validate.real_array("track", self.track, (2,))
-        if not low < high:
-            raise ValueError(f"track must increase, got [{low:g}, {high:g}] m")
+        low, high = _validate.interval("track", self.track)
         target = (low + high) / 2 if self.target is None else self.target
         for name, place in (("start", self.start), ("target", target)):
             if not low <= _validate.number(name, place) <= high:

@@ -1,7 +1,5 @@
 """An exercise: its parameters for each student, its right answer, and the usual slips."""
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 import unicodedata

@@ -1,7 +1,5 @@
 """Grade an answer: right, or what is wrong with it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial

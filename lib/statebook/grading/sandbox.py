@@ -71,9 +71,8 @@ class Apart:
         try:
             packed = io.BytesIO()
             table = ChainMap({_CACHED: _uncached}, cloudpickle.Pickler.dispatch_table)
-            type("Pickler", (cloudpickle.Pickler,), {"dispatch_table": table})(packed).dump(
-                function
-            )
+            pickler = type("Pickler", (cloudpickle.Pickler,), {"dispatch_table": table})
+            pickler(packed).dump(function)
             self._packed = packed.getvalue()
         except Exception as error:
             raise AnswerError(

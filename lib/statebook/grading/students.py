@@ -3,8 +3,6 @@
 python -m statebook.grading.students DIR [--workbook FOLDER]
 """
 
-from __future__ import annotations
-
 import argparse
 import copy
 import json

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -25,10 +24,7 @@ class Model:
         for field in fields(self):  # type: ignore[arg-type]
             may_vanish = field.name in ("damping", "g")
             check = _validate.non_negative if may_vanish else _validate.positive
-            self._set(field.name, check(field.name, getattr(self, field.name)))
-
-    def _set(self, name: str, value: Any) -> None:
-        object.__setattr__(self, name, value)  # how a frozen dataclass normalizes a field
+            vars(self)[field.name] = check(field.name, getattr(self, field.name))
 
     def _arguments(self, x: Any, u: Any = None) -> tuple[np.ndarray, np.ndarray]:
         return _validate.state_and_input(x, u, len(self.states), len(self.inputs))
@@ -78,7 +74,7 @@ class Model:
             value[i] = row
         return value
 
-    def _derivative(self, x: np.ndarray, u: np.ndarray) -> Sequence[np.ndarray]:
+    def _derivative(self, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, ...]:
         """Return the rows of f(x, u); a row that does not depend on x may be one number."""
         raise TypeError(f"{type(self).__name__} has no equations of motion")
 
@@ -98,10 +94,6 @@ class Model:
         """
         import control
 
-        return control.nlsys(
-            lambda t, x, u, params: self.dynamics(x, u),
-            states=list(self.states),
-            inputs=list(self.inputs),
-            outputs=list(self.states),
-            name=type(self).__name__.lower(),
-        )
+        states, name = list(self.states), type(self).__name__.lower()
+        labels = {"states": states, "inputs": list(self.inputs), "outputs": states, "name": name}
+        return control.nlsys(lambda t, x, u, params: self.dynamics(x, u), **labels)

@@ -1,8 +1,5 @@
 """A car that rolls without slip."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -38,6 +35,6 @@ class DubinsCar(Model):
     states: ClassVar[tuple[str, ...]] = ("x", "y", "theta")
     inputs: ClassVar[tuple[str, ...]] = ("v", "phi")
 
-    def _derivative(self, x: np.ndarray, u: np.ndarray) -> Sequence[np.ndarray]:
+    def _derivative(self, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, ...]:
         theta, (v, phi) = x[2], u
         return v * np.cos(theta), v * np.sin(theta), v / self.L * np.tan(phi)

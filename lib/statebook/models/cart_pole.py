@@ -1,8 +1,5 @@
 """A cart on a rail with a pole hinged to it."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -48,7 +45,7 @@ class CartPole(Model):
     states: ClassVar[tuple[str, ...]] = ("p", "theta", "v", "omega")
     inputs: ClassVar[tuple[str, ...]] = ("force", "torque")
 
-    def _derivative(self, x: np.ndarray, u: np.ndarray) -> Sequence[np.ndarray]:
+    def _derivative(self, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, ...]:
         _, theta, v, omega = x
         sine, cosine = np.sin(theta), np.cos(theta)
         h = self.m_pole * self.L / 2
@@ -57,20 +54,13 @@ class CartPole(Model):
         d = self.m_cart * inertia + (h * cosine) ** 2
         force = u[0] + h * omega**2 * cosine
         torque = u[1] - h * self.g * cosine
-        return (
-            v,
-            omega,
-            (inertia * force + h * sine * torque) / d,
-            (h * sine * force + total * torque) / d,
-        )
+        acceleration = (inertia * force + h * sine * torque) / d
+        return v, omega, acceleration, (h * sine * force + total * torque) / d
 
     def energy(self, x: Any) -> np.ndarray:
         """Return kinetic and potential energy [J], zero at rest with a level pole."""
         (_, theta, v, omega), _ = self._arguments(x)
         h = self.m_pole * self.L / 2
-        kinetic = (
-            (self.m_cart + self.m_pole) * v**2 / 2
-            - h * np.sin(theta) * v * omega
-            + self.m_pole * self.L**2 / 4 * omega**2 / 2
-        )
-        return kinetic + h * self.g * np.sin(theta)
+        sideways = (self.m_cart + self.m_pole) * v**2 / 2 - h * np.sin(theta) * v * omega
+        turning = self.m_pole * self.L**2 / 4 * omega**2 / 2
+        return sideways + turning + h * self.g * np.sin(theta)

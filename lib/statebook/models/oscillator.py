@@ -1,8 +1,5 @@
 """A mass on a spring and a damper."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -40,7 +37,7 @@ class Oscillator(Model):
     inputs: ClassVar[tuple[str, ...]] = ("force",)
     linear: ClassVar[bool] = True
 
-    def _derivative(self, x: np.ndarray, u: np.ndarray) -> Sequence[np.ndarray]:
+    def _derivative(self, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, ...]:
         p, v = x
         return v, (u[0] - self.stiffness * p - self.damping * v) / self.m
 

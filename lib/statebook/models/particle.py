@@ -1,8 +1,5 @@
 """A point mass driven by a force."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -40,7 +37,7 @@ class Particle(Model):
     linear: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        self._set("m", _validate.positive("m", self.m))
+        vars(self).update(m=_validate.positive("m", self.m))
         if _validate.integer("dim", self.dim, 1) > 3:
             raise ValueError(f"dim must be 1, 2 or 3, got {self.dim}")
 
@@ -57,8 +54,8 @@ class Particle(Model):
     def _numbered(self, label: str) -> tuple[str, ...]:
         return (label,) if self.dim == 1 else tuple(f"{label}{i + 1}" for i in range(self.dim))
 
-    def _derivative(self, x: np.ndarray, u: np.ndarray) -> Sequence[np.ndarray]:
-        return [*x[self.dim :], *(u / self.m)]
+    def _derivative(self, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, ...]:
+        return (*x[self.dim :], *(u / self.m))
 
     def energy(self, x: Any) -> np.ndarray:
         """Return the kinetic energy ``m |v|^2 / 2`` [J], shape () or (N,)."""

@@ -1,8 +1,5 @@
 """A pendulum with a motor at its pin."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -42,7 +39,7 @@ class Pendulum(Model):
     states: ClassVar[tuple[str, ...]] = ("theta", "omega")
     inputs: ClassVar[tuple[str, ...]] = ("torque",)
 
-    def _derivative(self, x: np.ndarray, u: np.ndarray) -> Sequence[np.ndarray]:
+    def _derivative(self, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, ...]:
         theta, omega = x
         torque = u[0] - self.m * self.g * self.L * np.cos(theta) - self.damping * omega
         return omega, torque / (self.m * self.L**2)

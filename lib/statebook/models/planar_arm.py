@@ -1,8 +1,5 @@
 """An arm of two links in a vertical plane."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -51,8 +48,8 @@ class PlanarArm(Model):
             pair = getattr(self, name)
             if np.shape(pair) != (2,):
                 raise ValueError(f"{name} must be two numbers, got {pair!r}")
-            self._set(name, tuple(_validate.positive(f"{name}[{i}]", pair[i]) for i in (0, 1)))
-        self._set("g", _validate.non_negative("g", self.g))
+            vars(self)[name] = tuple(_validate.positive(f"{name}[{i}]", pair[i]) for i in (0, 1))
+        vars(self).update(g=_validate.non_negative("g", self.g))
 
     def _mass_matrix(self, q2: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """Return M11, M12 = M21 and M22."""
@@ -65,10 +62,8 @@ class PlanarArm(Model):
         (l1, l2), (m1, m2) = self.lengths, self.masses
         coriolis = m2 * l1 * l2 * np.sin(q[1])
         hand = m2 * self.g * l2 * np.cos(q[0] + q[1])
-        return (
-            -coriolis * (2 * v[0] + v[1]) * v[1] + (m1 + m2) * self.g * l1 * np.cos(q[0]) + hand,
-            coriolis * v[0] ** 2 + hand,
-        )
+        elbow = -coriolis * (2 * v[0] + v[1]) * v[1] + (m1 + m2) * self.g * l1 * np.cos(q[0])
+        return elbow + hand, coriolis * v[0] ** 2 + hand
 
     def inverse_dynamics(self, q: Any, qd: Any, qdd: Any) -> np.ndarray:
         """Return the torques that give the joints an acceleration.
@@ -86,15 +81,13 @@ class PlanarArm(Model):
         TypeError, ValueError
             An argument is not made of finite numbers, or has another shape than q.
         """
-        q = _validate.array("q", q)
-        if q.ndim not in (1, 2) or q.shape[0] != 2:
-            raise ValueError(f"q must have shape (2,) or (2, N), got {q.shape}")
+        q = _validate.vectors("q", q, 2)
         v, a = _validate.array("qd", qd, q.shape), _validate.array("qdd", qdd, q.shape)
         m11, m12, m22 = self._mass_matrix(q[1])
         b1, b2 = self._bias(q, v)
         return np.stack([m11 * a[0] + m12 * a[1] + b1, m12 * a[0] + m22 * a[1] + b2])
 
-    def _derivative(self, x: np.ndarray, u: np.ndarray) -> Sequence[np.ndarray]:
+    def _derivative(self, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, ...]:
         q, v = x[:2], x[2:]
         m11, m12, m22 = self._mass_matrix(q[1])
         b1, b2 = self._bias(q, v)
@@ -120,9 +113,7 @@ class PlanarArm(Model):
         array([[2., 0.],
                [3., 0.]])
         """
-        q = _validate.array("q", q)
-        if q.ndim not in (1, 2) or q.shape[0] != 2:
-            raise ValueError(f"q must have shape (2,) or (2, N), got {q.shape}")
+        q = _validate.vectors("q", q, 2)
         l1, l2 = self.lengths
         elbow = l1 * np.stack([np.cos(q[0]), np.sin(q[0])])
         forearm = l2 * np.stack([np.cos(q[0] + q[1]), np.sin(q[0] + q[1])])

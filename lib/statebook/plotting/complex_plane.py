@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from statebook import _validate
-from statebook.plotting.style import new_axes, window
+from statebook.plotting.style import new_axes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -91,7 +91,8 @@ def stability_region(
     """
     from statebook.runge_kutta import stability_function
 
-    x, y = np.linspace(*window("xlim", xlim), 301), np.linspace(*window("ylim", ylim), 301)
+    x = np.linspace(*_validate.interval("xlim", xlim), 301)
+    y = np.linspace(*_validate.interval("ylim", ylim), 301)
     growth = np.abs(stability_function(method, x[None, :] + 1j * y[:, None]))
     growth = np.nan_to_num(growth, posinf=1e3)
     ax = new_axes(ax)

@@ -1,7 +1,5 @@
 """Figures that a reader moves: sliders over frames that are drawn once, and films."""
 
-from __future__ import annotations
-
 import base64
 import gzip
 import hashlib
@@ -71,13 +69,9 @@ class Player:
         Without its script, as in a notebook that is not trusted, it is a captioned still.
         """
         parts, runs = _shared([frame.splitlines() for frame in self.frames])
-        data = {
-            "parts": parts,
-            "frames": runs,
-            "axes": [{"name": name, "values": values} for name, values in self.axes],
-            "start": self.start,
-            "seconds": self.seconds,
-        }
+        axes = [{"name": name, "values": values} for name, values in self.axes]
+        data: dict[str, Any] = {"parts": parts, "frames": runs, "axes": axes}
+        data |= {"start": self.start, "seconds": self.seconds}
         plain = json.dumps(data, separators=(",", ":")).encode()
         packed = base64.b64encode(gzip.compress(plain, mtime=0)).decode()
         name = "sb-" + hashlib.sha256(plain).hexdigest()[:12]
@@ -168,19 +162,12 @@ def explore(
     if len(failures) == len(drawn):
         raise ValueError(f"draw must draw at least one frame; {failures[0]}")
     whole = next(frame for frame in drawn if not frame.failure)
-    return Player(
-        axes=tuple((name, tuple(map(_shown, sequence))) for name, sequence in lists.items()),
-        frames=tuple(frame.svg for frame in drawn),
-        start=tuple(places),
-        caption=caption,
-        alt=alt,
-        failures=failures,
-        still=drawn[first].png or _drawn(draw, points[drawn.index(whole)], layouts, still=True).png,
-        digests={
-            kind: {"frames": [frame.digests.get(kind, {}) for frame in drawn]}
-            for kind in whole.digests
-        },
-    )
+    axes = tuple((name, tuple(map(_shown, sequence))) for name, sequence in lists.items())
+    frames = tuple(frame.svg for frame in drawn)
+    still = drawn[first].png or _drawn(draw, points[drawn.index(whole)], layouts, still=True).png
+    kinds = {kind: [frame.digests.get(kind, {}) for frame in drawn] for kind in whole.digests}
+    digests = {kind: {"frames": found} for kind, found in kinds.items()}
+    return Player(axes, frames, tuple(places), caption, alt, None, failures, still, digests)
 
 
 def film(
@@ -261,9 +248,8 @@ def _drawn(
                     ax.set_position(place)
             file, picture = io.StringIO(), io.BytesIO()
             dpi, canvas = figure.dpi, FigureCanvasSVG(figure)
-            canvas.print_svg(  # type: ignore[no-untyped-call]
-                file, metadata={"Date": None, "Creator": None}
-            )
+            undated: Any = {"Date": None, "Creator": None}
+            canvas.print_svg(file, metadata=undated)  # type: ignore[no-untyped-call]
             figure.dpi = dpi
             layouts.setdefault(words, [ax.get_position(original=True) for ax in figure.axes])
             if still:

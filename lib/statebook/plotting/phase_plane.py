@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from statebook import _validate
-from statebook.plotting.style import new_axes, window
+from statebook.plotting.style import new_axes
 from statebook.systems import as_system
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ def _field(
     system: Any, xlim: Sequence[float], ylim: Sequence[float], u: Any, number: int, ax: Axes | None
 ) -> tuple[Axes, tuple[np.ndarray, ...]]:
     """Return labelled axes, the states on a grid of their plane and the derivatives there."""
-    x, y = window("xlim", xlim), window("ylim", ylim)
+    x, y = _validate.interval("xlim", xlim), _validate.interval("ylim", ylim)
     X, Y = np.meshgrid(np.linspace(*x, number), np.linspace(*y, number))
     points = np.stack([X.ravel(), Y.ravel()])
     system = as_system(system, points[:, 0], u)

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
-
-from statebook import _validate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -52,11 +49,3 @@ def new_axes(ax: Axes | None) -> Axes:
     import matplotlib.pyplot as plt
 
     return plt.subplots()[1]
-
-
-def window(name: str, ends: Sequence[float]) -> tuple[float, float]:
-    """Return the ends of an axis, which increase."""
-    low, high = map(float, _validate.real_array(name, ends, (2,)))
-    if not low < high:
-        raise ValueError(f"{name} must increase, got ({low:g}, {high:g})")
-    return low, high

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from statebook import _validate
 from statebook.plotting.style import new_axes
 
 if TYPE_CHECKING:
@@ -43,9 +44,7 @@ def timed_path(timed: TimedPath, *, ax: Axes | None = None) -> Axes:
     """
     from statebook.timescale.timed_path import TimedPath
 
-    if not isinstance(timed, TimedPath):
-        raise TypeError(f"timed must be a TimedPath, got {type(timed).__name__}")
-    ax = new_axes(ax)
+    timed, ax = _validate.instance("timed", timed, TimedPath), new_axes(ax)
     s = np.linspace(timed.s[0], timed.s[-1], 801)
     slowest, fastest = timed.controllable
     ax.fill_between(timed.s, slowest, fastest, color="0.9", label="controllable")

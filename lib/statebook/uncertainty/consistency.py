@@ -1,7 +1,5 @@
 """Whether errors are as large as their claimed covariance says."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Errors wrapped round systems and policies; `monte_carlo` runs them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import fields, is_dataclass, replace
 from functools import partial
@@ -86,7 +84,7 @@ def with_actuation_error(policy: Policy, noise: HeldNoise, *, gain: Any = 1.0) -
     >>> policy(np.array([[2.0, 4.0], [0.0, 0.0]]), 0.0)
     array([[-3., -6.]])
     """
-    noise = _noise(noise)
+    noise = _validate.instance("noise", noise, HeldNoise)
     m = noise.size
     gain = _validate.real_array("gain", gain)
     if gain.shape not in ((), (m, m)):
@@ -119,7 +117,7 @@ def with_measurement_error(policy: Policy, noise: HeldNoise) -> Policy:
     >>> with_measurement_error(lambda x, t: -3 * x[:1], noise)(np.zeros((2, 1)), 0.0)
     array([[-1.5]])
     """
-    return partial(_misled, policy, _noise(noise))
+    return partial(_misled, policy, _validate.instance("noise", noise, HeldNoise))
 
 
 def with_parameters(model: Any, names: Sequence[str]) -> System:
@@ -158,13 +156,8 @@ def with_parameters(model: Any, names: Sequence[str]) -> System:
     for name in names:
         _validate.choice("names", name, known)
     system = as_system(model)
-    return System(
-        rate=partial(_with_values, model, tuple(names)),
-        states=(*system.states, *names),
-        inputs=system.inputs,
-        name=f"{system.name} with parameters",
-        source=model,
-    )
+    rate, states = partial(_with_values, model, tuple(names)), (*system.states, *names)
+    return System(rate, states, system.inputs, name=f"{system.name} with parameters", source=model)
 
 
 # Of modules rather than closures, so that what is made of them pickles.
@@ -212,12 +205,6 @@ def control_of(policy: Any, x: np.ndarray, t: float, m: int, name: str = "policy
         policy = policy(t)
     value = _validate.real_array(f"{name}(x, t)", policy(x, t) if callable(policy) else policy)
     return shaped(f"{name}(x, t)", value[:, 0] if value.shape == (m, 1) else value, m, x.shape[1:])
-
-
-def _noise(noise: Any) -> HeldNoise:
-    if not isinstance(noise, HeldNoise):
-        raise TypeError(f"noise must be a HeldNoise, got {type(noise).__name__}")
-    return noise
 
 
 def _batch(name: str, x: np.ndarray) -> int:

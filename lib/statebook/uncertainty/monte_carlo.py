@@ -1,7 +1,5 @@
 """Many trajectories of one system under independent errors."""
 
-from __future__ import annotations
-
 import functools
 import math
 import os
@@ -195,15 +193,10 @@ def monte_carlo(
     if fold is None:  # of one size: the last block begins early
         firsts[-1] = number - chunk
     blocks = [_Runs(first, start[:, first : first + chunk]) for first in firsts]
+    block, grid = functools.partial(_block, errors, options, statistic), {"runs": blocks}
     with nullcontext(executor) if executor else ThreadPoolExecutor(1) as pool:
         found = sweep(
-            functools.partial(_block, errors, options, statistic),
-            {"runs": blocks},
-            executor=pool,
-            progress=progress,
-            chunk=1,
-            reduce=fold,
-            cache=cache,
+            block, grid, executor=pool, progress=progress, chunk=1, reduce=fold, cache=cache
         )
     if reduce == "moments":
         times, mean, products = found[0], found[2 : known.n + 2], found[known.n + 2 :]
@@ -212,13 +205,10 @@ def monte_carlo(
     if fold is not None:
         return found
     times, states, controls = np.split(found, [count, count * (1 + known.n * chunk)], axis=1)
-    return Trajectory(
-        times[0],
-        _side_by_side(states, firsts, (known.n, chunk, count)),
-        _side_by_side(controls, firsts, (known.m, chunk, count - 1)) if known.m else None,
-        state_labels=known.states,
-        input_labels=known.inputs if known.m else None,
-    )
+    x, u, labels = _side_by_side(states, firsts, (known.n, chunk, count)), None, None
+    if known.m:
+        u, labels = _side_by_side(controls, firsts, (known.m, chunk, count - 1)), known.inputs
+    return Trajectory(times[0], x, u, state_labels=known.states, input_labels=labels)
 
 
 _Errors = tuple[Any, Any, Any, Any]  # system, policy, disturbance, G

@@ -157,13 +157,9 @@ class HeldNoise:
         bias = _validate.real_array("bias", self.bias)
         if bias.shape not in ((), (q,)):
             raise ValueError(f"bias must be a number or have shape ({q},), got {bias.shape}")
-        vars(self).update(
-            covariance=covariance,
-            period=_validate.positive("period", self.period),
-            seed=_seed(self.seed),
-            bias=np.broadcast_to(bias, (q,)),
-            _root=square_root(covariance),
-        )
+        period, seed = _validate.positive("period", self.period), _seed(self.seed)
+        vars(self).update(covariance=covariance, period=period, seed=seed)
+        vars(self).update(bias=np.broadcast_to(bias, (q,)), _root=square_root(covariance))
 
     @classmethod
     def white(cls, intensity: Any, period: float, *, seed: Any, bias: Any = 0.0) -> HeldNoise:
@@ -289,9 +285,8 @@ def discretize_noise(A: Any, G: Any, intensity: Any, dt: float) -> np.ndarray:
     >>> discretize_noise([[0, 1], [0, 0]], [[0], [1]], 3.0, 2.0).round(9).tolist()
     [[8.0, 6.0], [6.0, 6.0]]
     """
-    A = _validate.real_array("A", A, (None, None))
+    A = _validate.real_array("A", _validate.square("A", A))
     n = len(A)
-    A = _validate.real_array("A", A, (n, n))
     if n == 0:
         raise ValueError("A must have at least one row, got none")
     G = _validate.real_array("G", G, (n, None))

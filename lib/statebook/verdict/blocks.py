@@ -119,13 +119,19 @@ def _reachability(edges: np.ndarray) -> np.ndarray:
     return reached
 
 
+def balanced(A: np.ndarray, permute: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return A in units in which its rows are as large as its columns, and what LAPACK did."""
+    gebal = scipy.linalg.lapack.zgebal if np.iscomplexobj(A) else scipy.linalg.lapack.dgebal
+    matrix, _, _, scale, _ = gebal(A, scale=1, permute=permute)
+    return matrix, scale
+
+
 def _block(A: np.ndarray, index: np.ndarray, precision: float) -> Block:
     n = len(index)
     A = A[np.ix_(index, index)]
     if n == 1:
         return Block(index, A, A.astype(complex), np.eye(1, dtype=complex), np.ones(1), precision)
-    gebal = scipy.linalg.lapack.zgebal if np.iscomplexobj(A) else scipy.linalg.lapack.dgebal
-    matrix, _, _, scale, _ = gebal(A, scale=1, permute=0)
+    matrix, scale = balanced(A, permute=0)
     if np.iscomplexobj(matrix):
         T, Q = scipy.linalg.schur(matrix, output="complex")
     else:

@@ -42,6 +42,8 @@ class Cluster:
         Rounding cannot change side and defective.
     spread : float
         How far rounding may move the eigenvalue, or the mean of several.
+    share : array, shape (k,)
+        Of each of the block's states in their invariant subspace.
     """
 
     block: int
@@ -52,19 +54,22 @@ class Cluster:
     defective: bool
     clear: bool
     spread: float
+    share: np.ndarray
 
 
 class Group(NamedTuple):
     """Eigenvalues of a block that rounding keeps apart from all others.
 
     Their places in its Schur form, a basis of their invariant subspace, the rows that project
-    on it, T on it, and the size of perturbations of T that rounding amounts to.
+    on it, T on it, the norm of the projector, and the size of perturbations of T that rounding
+    amounts to.
     """
 
     members: np.ndarray
     basis: np.ndarray
     dual: np.ndarray
     T: np.ndarray
+    sensitivity: float
     radius: float
 
 
@@ -112,10 +117,11 @@ def separated(block: Block, tol: float, margins: np.ndarray) -> tuple[np.ndarray
     # Where eigenvectors are parallel their inverse is huge: its square must not overflow.
     sensitivity = np.linalg.norm(np.minimum(np.abs(dual), 1e100), axis=1)
     radius = min(n, 2) * tol * sensitivity
-    means, reach = values, n * radius
+    means, reach, spread = values, n * radius, np.zeros(n)
     members = [np.array([i]) for i in range(n)]
     bases, duals = np.hsplit(block.Q @ vectors, n), np.vsplit(dual @ block.Q.conj().T, n)
     parts = np.hsplit(values[None], n)
+    known = dict(zip(map(bytes, members), zip(bases, parts, strict=True), strict=True))
     while True:
         distance = np.abs(means[:, None] - means)
         np.fill_diagonal(distance, np.inf)
@@ -125,18 +131,17 @@ def separated(block: Block, tol: float, margins: np.ndarray) -> tuple[np.ndarray
         # Of two that meet, the more sensitive one is joined with what is nearest to it.
         blurred = (meet & (sensitivity[:, None] >= sensitivity)).any(axis=1)
         nearest = distance <= _AS_NEAR * distance.min(axis=1, keepdims=True)
-        count, labels = scipy.sparse.csgraph.connected_components(
-            nearest & blurred[:, None], directed=False
-        )
+        # What lies within a group can never be kept apart from it.
+        links = (nearest & blurred[:, None]) | (distance <= spread[:, None])
+        count, labels = scipy.sparse.csgraph.connected_components(links, directed=False)
         joined = [np.flatnonzero(labels == label) for label in range(count)]
         members = [np.sort(np.concatenate([members[i] for i in part])) for part in joined]
-        kept = ((bases[i], parts[i]) if not rest else None for i, *rest in joined)
-        new = [pair or _invariant(block, m) for pair, m in zip(kept, members, strict=True)]
-        bases, parts = map(list, zip(*new, strict=True))
-        places = np.cumsum([len(m) for m in members])[:-1]
-        duals = np.split(inverse(np.hstack(bases)), places)
+        bases, parts = map(list, zip(*(_invariant(block, m, known) for m in members), strict=True))
+        whole = bases[0].conj().T if count == 1 else inverse(np.hstack(bases))
+        duals = np.split(whole, np.cumsum([len(m) for m in members])[:-1])
         sensitivity = np.array([spectral_norm(dual) for dual in duals])
         means = np.array([T.diagonal().mean() for T in parts])
+        spread = np.array([_spread(T) for T in parts])
         sizes = 2 * count * tol * sensitivity
         reach = np.array([_reach(*pair) for pair in zip(parts, sizes, strict=True)])
     groups = []
@@ -144,12 +149,24 @@ def separated(block: Block, tol: float, margins: np.ndarray) -> tuple[np.ndarray
         place, size = group[0], float(min(len(members), 2) * tol * group[-1])
         radius[place] = size
         if len(place) > 1 or margins[place[0]] <= size:
-            groups.append(Group(*group[:-1], size))
+            groups.append(Group(*group, size))
     return radius, groups
 
 
-def _invariant(block: Block, members: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _invariant(
+    block: Block, members: np.ndarray, known: dict[bytes, tuple[np.ndarray, np.ndarray]]
+) -> tuple[np.ndarray, np.ndarray]:
     """Orthonormal basis of the invariant subspace of some eigenvalues, and T on it."""
+    key = bytes(members)
+    if key not in known:
+        # A real matrix has its conjugate pairs side by side; with one subspace the other is known.
+        mirrored = members + np.sign(block.T.diagonal()[members].imag).astype(int)
+        pair = known.get(bytes(np.sort(mirrored))) if np.isrealobj(block.matrix) else None
+        known[key] = (pair[0].conj(), pair[1].conj()) if pair else _orthonormal(block, members)
+    return known[key]
+
+
+def _orthonormal(block: Block, members: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     p = len(members)
     if p == len(block.T):
         return block.Q, block.T
@@ -168,12 +185,13 @@ def _reach(T: np.ndarray, size: float) -> float:
     most the sum of ``norm(U)^l / d^(l + 1)`` over l < p.
     """
     p = len(T)
-    if p == 1:
-        return size
-    diagonal = T.diagonal()
     share = 1 / (np.arange(p) + 1)
     terms = (p * size) ** share * scipy.linalg.norm(np.triu(T, 1)) ** (1 - share)
-    return float(np.abs(diagonal - diagonal.mean()).max() + terms.max())
+    return _spread(T) + float(terms.max())
+
+
+def _spread(T: np.ndarray) -> float:
+    return float(np.abs(T.diagonal() - T.diagonal().mean()).max())
 
 
 def _leading(block: Block, members: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -211,7 +229,10 @@ def _judged(number: int, block: Block, group: Group, discrete: bool) -> Cluster:
             moved = _moved(group, np.abs(block.matrix))
             clear = moved <= rounding(block.norm, len(block.T), 1.0)
     spread = radius if single else _reach(T, radius)
-    return Cluster(number, group.members, point, side, single, defective, bool(clear), spread)
+    share = np.abs((group.basis * group.dual.T).sum(axis=1))
+    return Cluster(
+        number, group.members, point, side, single, defective, bool(clear), spread, share
+    )
 
 
 def _is_single(N: np.ndarray, radius: float) -> bool:
@@ -229,24 +250,25 @@ def _is_single(N: np.ndarray, radius: float) -> bool:
         lu, pivots, _ = scipy.linalg.lapack.zgetrf(N)
         pivot = lu.diagonal()
         np.fill_diagonal(lu, np.where(np.abs(pivot) > 1e-3 * radius, pivot, 1e-3 * radius))
-        x, found = start[:n], np.zeros((n, 0))
+        x, chain, k = start[:n], np.zeros((n, n), complex, order="F"), 0
         for adjoint in (2, 0, 2):
             x, _ = scipy.linalg.lapack.zgetrs(lu, pivots, x / np.linalg.norm(x), trans=adjoint)
         # A null vector of N, then those of what N is across the ones before: its chain.
-        while found.shape[1] < n:
+        while k < n:
+            found = chain[:, :k]
             x, _ = scipy.linalg.lapack.zgetrs(lu, pivots, x / np.linalg.norm(x))
             for _ in range(2):
-                x = x - found @ (found.conj().T @ x)
+                x = x - found @ (x.conj() @ found).conj()
             x /= np.linalg.norm(x)
             rest = N @ x
-            rest = np.linalg.norm(rest - found @ (found.conj().T @ rest))
+            rest = np.linalg.norm(rest - found @ (rest.conj() @ found).conj())
             # A chain's errors add up: a new start costs less than they would.
-            if rest > (0.03 * radius if found.size else radius):
+            if rest > (0.03 * radius if k else radius):
                 break
-            found = np.column_stack([found, x])
-        if not found.size:
+            chain[:, k], k = x, k + 1
+        if k == 0:
             return False
-        across = np.linalg.qr(found, mode="complete")[0][:, found.shape[1] :]
+        across = np.linalg.qr(chain[:, :k], mode="complete")[0][:, k:]
         N = across.conj().T @ N @ across
     return True
 
@@ -263,7 +285,7 @@ def _moved(group: Group, size: np.ndarray) -> float:
 
 def _blur(block: Block, group: Group, discrete: bool) -> float:
     """What rounding does to the mean of a group as a rule, errors being random."""
-    moved = min(_moved(group, block.size), block.norm * spectral_norm(group.dual))
+    moved = min(_moved(group, block.size), block.norm * group.sensitivity)
     return rounding(max(moved, 1.0) if discrete else moved, len(block.T), block.precision)
 
 

@@ -11,6 +11,7 @@ from statebook.verdict.blocks import (
     EPS,
     Block,
     assemble,
+    balanced,
     decompose,
     rounding,
     spectral_norm,
@@ -76,13 +77,13 @@ def judge(
         verdict = UNSTABLE if jordan else MARGINALLY_STABLE
     else:
         verdict = ASYMPTOTICALLY_STABLE
-        if check_distance and (doubt or len(blocks) > 1):
-            # Beyond what the clusters prove, the distance to instability decides.
+        # Beyond what the clusters prove, unless one is all, the distance to instability decides.
+        if check_distance and (len(blocks) > 1 or (doubt and len(found[0].members) < len(A))):
             doubt = any(
                 all(is_near_boundary(*one) for one in _in_best_units(A, part, discrete, precision))
                 for part in weak_components(A, blocks)
             )
-            tolerance = max(tolerance, size) if doubt else tolerance
+        tolerance = max(tolerance, size) if doubt and check_distance else tolerance
     if not doubt and size != 0:
         tolerance = min(tolerance, abs(size))  # the sign is certain, however loose the bound
     there = np.array(jordan) if jordan else values[margins == size]
@@ -93,7 +94,7 @@ def judge(
             f" tolerance, {tolerance:.2g}, a perturbation as small as rounding could change the"
             " verdict, and it is a best guess."
         )
-    shares = _participations(A, blocks)
+    shares = _participations(blocks, found)
     return Judgement(verdict, reason, values, shares, size, tolerance, doubt, tuple(jordan))
 
 
@@ -150,8 +151,7 @@ def _in_best_units(
     if len(blocks) > 1:
         B = with_comparable_couplings(A, blocks, discrete)
         index = np.concatenate([block.index for block in blocks])
-        balanced = scipy.linalg.matrix_balance(A[np.ix_(index, index)])[0]
-        candidates = [np.triu(Q.conj().T @ B @ Q), balanced]
+        candidates = [np.triu(Q.conj().T @ B @ Q), balanced(A[np.ix_(index, index)], permute=1)[0]]
     floor = 1.0 if discrete else 0.0
     radii = (rounding(max(spectral_norm(B), floor), len(B), precision) for B in candidates)
     return [(B, discrete, radius) for B, radius in zip(candidates, radii, strict=True)]
@@ -168,19 +168,17 @@ def _whole_rounding(
     return size[np.concatenate([block.index for block in blocks])]
 
 
-def _participations(A: np.ndarray, blocks: list[Block]) -> np.ndarray:
-    """Share abs(w_k v_k) of state k in each mode; w and v its left and right eigenvectors."""
-    T, Q, _ = assemble(A, blocks)
-    if len(blocks) == 1:
-        right, dual = blocks[0].modes
-        left = dual.conj().T
-    else:
-        _, left, right = scipy.linalg.eig(T, left=True, right=True)
-    products = np.abs((Q @ left) * (Q @ right))
-    # In a long Jordan chain the products underflow; each mode then counts as its block's own.
-    if not products.any(axis=0).all():
-        own = scipy.linalg.block_diag(*[np.ones(block.T.shape) for block in blocks])
-        products = np.where(products.any(axis=0), products, own)
-    shares = np.empty_like(products)
-    shares[np.concatenate([block.index for block in blocks])] = products
-    return shares / shares.sum(axis=0)
+def _participations(blocks: list[Block], found: list[Cluster]) -> np.ndarray:
+    """Share abs(w_k v_k) of state k in each mode; w and v its left and right eigenvectors.
+
+    Where v and w of the whole matrix meet, in the mode's own block, they are the block's. Of a
+    cluster it is the share in the invariant subspace, the diagonal of the spectral projector.
+    """
+    products = []
+    for block in blocks:
+        right, dual = block.modes
+        products.append(np.abs((block.Q @ right) * (dual @ block.Q.conj().T).T))
+    for cluster in found:
+        products[cluster.block][:, cluster.members] = cluster.share[:, None]
+    shares = scipy.linalg.block_diag(*[product / product.sum(axis=0) for product in products])
+    return shares[np.argsort(np.concatenate([block.index for block in blocks]))]

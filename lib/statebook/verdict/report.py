@@ -34,7 +34,8 @@ class Mode:
     time_constant : float [s]
         ``1 / abs(Re s)``, in which the mode decays or grows by e; inf on the boundary.
     participation : array, shape (n,)
-        Share of each state in the mode, at least 0, of sum 1; it does not depend on units.
+        Share of each state in the mode, at least 0, of sum 1; it does not depend on units. Of
+        eigenvalues that rounding may mix it is the share in their invariant subspace.
     """
 
     eigenvalue: complex

@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 
 from statebook import _validate
-from statebook.verdict.blocks import EPS
+from statebook.verdict.blocks import EPS, rounding
 from statebook.verdict.judgement import ASYMPTOTICALLY_STABLE, judge
 from statebook.verdict.linear_part import as_matrix, continuous_part
 
@@ -25,8 +25,6 @@ _MAX_PIECES = 100_000
 _NEARLY_REAL = 1e-3
 # A spectral radius this near 1 at its peak touches the circle.
 _TOUCH = 1e-11
-# Modes this near, relatively, alias.
-_SAME = 1e-9
 
 Loop = Callable[[np.ndarray], np.ndarray]
 
@@ -145,7 +143,7 @@ def _first_crossing(A: np.ndarray, B: np.ndarray, K: np.ndarray, rate: float) ->
         length = min(length, _DEGREE / 2 / max(float(np.abs(alive.imag).max()), 1e-300))
         with np.errstate(all="ignore"):
             E = scipy.linalg.expm(generator * start) @ steps(length)
-            digits = 8 * EPS * (1 + np.abs(E).max() * (1 + np.abs(K).max(initial=0.0) * m))
+            digits = rounding(1 + np.abs(E).max() * (1 + m * np.abs(K).max(initial=0.0)), n)
             values, noise = _product(loop(E), rate * (start + length * nodes), is_real, digits)
         # Chebyshev coefficients; the points are ascending.
         coefficients = scipy.fft.dct(values[::-1], type=2) / len(values)
@@ -159,7 +157,7 @@ def _first_crossing(A: np.ndarray, B: np.ndarray, K: np.ndarray, rate: float) ->
         for position, width in _candidates(coefficients):
             crossing = _examined(excess, start, length, position, width)
             if crossing is not None:
-                return _at_alias(plant, crossing)
+                return crossing
         end = start + length
         if excess(end) >= 0:
             return float(scipy.optimize.brentq(excess, start, end, xtol=1e-300, rtol=1e-14))
@@ -197,8 +195,6 @@ def _product(
 def _candidates(coefficients: np.ndarray) -> list[tuple[float, float]]:
     """Real roots, or nearly real ones, as positions in [0, 1] and their uncertainty."""
     size = np.abs(coefficients)
-    if size[0] > 1.01 * size[1:].sum():
-        return []
     kept = coefficients[: np.flatnonzero(size > 1e-3 * _RESOLVED * size.max())[-1] + 1]
     roots = np.polynomial.chebyshev.chebroots(kept).astype(complex)
     near = (np.abs(roots.imag) <= _NEARLY_REAL) & (np.abs(roots.real) <= 1 + _NEARLY_REAL)
@@ -223,18 +219,3 @@ def _examined(
     if excess(peak) <= 0 or low >= peak or excess(low) >= 0:
         return float(peak)
     return float(scipy.optimize.brentq(excess, low, peak, xtol=1e-300, rtol=1e-14))
-
-
-def _at_alias(plant: np.ndarray, crossing: float) -> float:
-    """A touching at which two modes of the plant that do not decay alias, to the last digit.
-
-    There sampling loses controllability, and the circle is touched, maybe without a crossing.
-    """
-    scale = np.abs(plant).max(initial=0.0)
-    lasting = plant[plant.real >= -_SAME * scale]
-    difference = (lasting[:, None] - lasting)[np.triu_indices(len(lasting), 1)]
-    frequency = np.abs(difference.imag)[np.abs(difference.real) <= _SAME * scale]
-    periods = 2 * np.pi / frequency[frequency > _SAME * scale]
-    times = periods * np.maximum(np.round(crossing / periods), 1)
-    near = times[np.abs(times - crossing) <= 1e-7 * crossing]
-    return float(near.min()) if len(near) else crossing

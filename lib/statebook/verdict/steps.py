@@ -137,17 +137,12 @@ def _of_eigenvalue(value: complex, tableau: ButcherTableau) -> tuple[float, list
 
 def _positive_roots(polynomial: np.polynomial.Polynomial) -> list[float]:
     """Distinct positive real roots of a polynomial, ascending, refined by Newton's method."""
-    groups: list[list[float]] = []
-    for root in sorted(polynomial.roots().astype(complex), key=lambda root: root.real):
-        r = float(root.real)
-        if r <= 0 or abs(root.imag) > _SAME_ROOT * r:
-            continue
-        if groups and r - groups[-1][-1] <= _SAME_ROOT * r:
-            groups[-1].append(r)
-        else:
-            groups.append([r])
+    found = polynomial.roots().astype(complex)
+    real = found.real[(found.real > 0) & (np.abs(found.imag) <= _SAME_ROOT * found.real)]
+    real.sort()
+    apart = 1 + np.flatnonzero(np.diff(real) > _SAME_ROOT * real[1:])
     roots = []
-    for group in groups:
+    for group in np.split(real, apart) if real.size else []:
         # A root of multiplicity k is blurred, but it is a simple root of derivative k - 1.
         simple = polynomial.deriv(len(group) - 1)
         slope = simple.deriv()

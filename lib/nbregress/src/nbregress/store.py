@@ -4,9 +4,9 @@ import base64
 import itertools
 import json
 import os
-import tempfile
 import warnings
 from collections.abc import Container
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -112,7 +112,8 @@ def write(nb: Any, path: Path, stored: Any = None) -> bool:
     if stored is not None and read(path) != stored:
         raise NotebookError("was saved by somebody else while it ran, and stays: run again")
     data = as_written(nb)
-    temporary = None
+    target = path.resolve()
+    beside = target.with_name(f".{target.name}.{os.getpid()}")
     try:
         mode = 0o644
         if path.exists():
@@ -122,16 +123,14 @@ def write(nb: Any, path: Path, stored: Any = None) -> bool:
             mode = path.stat().st_mode & 0o777
             if b"\r\n" in old:
                 data = data.replace(b"\n", b"\r\n")
-        target = path.resolve()
-        with tempfile.NamedTemporaryFile(dir=target.parent, prefix=".", delete=False) as file:
-            temporary = file.name
-            file.write(data)
-        os.chmod(temporary, mode)
-        os.replace(temporary, target)
+        beside.write_bytes(data)
+        os.chmod(beside, mode)
+        os.replace(beside, target)
     except OSError as error:
-        if temporary is not None:
-            Path(temporary).unlink(missing_ok=True)
         raise NotebookError(f"cannot be written, and the old file is untouched: {error}") from error
+    finally:  # also where Ctrl-C came between
+        with suppress(OSError):
+            beside.unlink(missing_ok=True)
     return True
 
 

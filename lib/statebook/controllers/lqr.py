@@ -1,9 +1,6 @@
-"""Linear feedback of the state: PD and LQR."""
+"""The linear-quadratic regulator, with references and integrals."""
 
-from __future__ import annotations
-
-import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
@@ -13,106 +10,17 @@ import scipy
 
 from statebook import _validate
 from statebook.angles import wrap_angle
-from statebook.derivatives import InexactDerivativeWarning
-from statebook.equilibrium import find_equilibrium
+from statebook.controllers import feedback
 from statebook.linearization import linearize
-from statebook.residuals import labels_among, point
-from statebook.systems import System, as_system, time_of
+from statebook.residuals import point
+from statebook.systems import System, as_system
 from statebook.verdict.stability import stability
 from statebook.verdict.words import format_complex
 
 
-def saturate(u: np.ndarray, limit: float | None) -> np.ndarray:
-    """Clip a control to plus and minus a limit, if there is one."""
-    return u if limit is None else np.clip(u, -limit, limit)
-
-
-def columns(values: np.ndarray, like: np.ndarray) -> np.ndarray:
-    """Return a vector so that it broadcasts against a state or a batch of states."""
-    return values if like.ndim == 1 else values[:, None]
-
-
-def state_of(x: Any, n: int) -> np.ndarray:
-    """Return a state (n,) or a batch (n, N) as an array; it need not be finite."""
-    x = np.asarray(x)
-    if x.dtype.kind not in "biufc" or x.ndim not in (1, 2) or len(x) != n:
-        raise ValueError(f"x must be numbers of shape ({n},) or ({n}, N), got {x!r}")
-    return x
-
-
-def rows_of(name: str, wanted: Any, labels: Sequence[str]) -> np.ndarray:
-    """Return the matrix C of C x, from labels of states or from C itself."""
-    if np.ndim(wanted) and not all(isinstance(label, str) for label in wanted):
-        return _validate.real_array(name, wanted, (None, len(labels)))
-    return np.eye(len(labels))[[labels.index(x) for x in labels_among(name, wanted, labels)]]
-
-
-def unwound(error: np.ndarray, u: np.ndarray, Ki: np.ndarray, limit: float | None) -> np.ndarray:
-    """Return the rate of the integrals z of u = ... - Ki z, with those at a limit held.
-
-    While an input is at its limit, integrals that push it on are held (anti-windup by
-    conditional integration).
-    """
-    if limit is None:
-        return error
-    winding = (np.abs(u) >= limit) & ((u * -(Ki @ error)).real > 0)
-    return np.where((Ki != 0).T @ winding, 0.0, error)
-
-
-def closed_loop(
-    system: System, rate: Callable[..., Any], memories: Mapping[str, int], law: str
-) -> System:
-    """Return a system with memories of a law, numbers of them by name, as further states."""
-    further = (f"{name}{i + 1}" for name, number in memories.items() for i in range(number))
-    states, name = (*system.states, *further), f"{system.name} with {law}"
-    return replace(system, rate=rate, states=states, name=name, linear=False, source=None)
-
-
-def require_timeless(system: System, x: np.ndarray, u: np.ndarray) -> None:
-    """Refuse a system that depends on the time: its gains would hold for one time only."""
-    try:
-        time_of(system, x, u, None)
-    except ValueError:
-        raise ValueError(
-            f"system must not depend on the time, but {system.name} does; hold it at one time t0,"
-            " lambda x, u: f(x, u, t0)"
-        ) from None
-
-
-def require_stable(loop: System, x0: np.ndarray, gains: str) -> None:
-    """Refuse a loop that is not asymptotically stable."""
-    with warnings.catch_warnings():  # the verdict counts the error of differences in
-        warnings.simplefilter("ignore", InexactDerivativeWarning)
-        report = stability(loop, x0)
-    if report.verdict != "asymptotically stable":
-        raise ValueError(f"{gains} do not stabilize the target: {report.reason}")
-
-
-def require_holding(limit: float | None, u0: np.ndarray, what: str) -> None:
-    """Refuse a limit that leaves nothing beside the control that holds a place."""
-    largest = np.abs(u0).max(initial=0.0)
-    if limit is not None and limit <= largest:
-        rest = ", which leaves nothing to correct with" if limit == largest else ""
-        raise ValueError(
-            f"limit must be at least {largest:.4g} to hold {what}, got {limit:g}{rest}"
-        )
-
-
-def matrix_of(name: str, value: Any, shape: tuple[int, int]) -> np.ndarray:
-    """Return a matrix (m, p), from its diagonal or one number for all of it if m = p."""
-    m, p = shape
-    matrix = _validate.real_array(name, value)
-    if m == p and matrix.shape in ((), (m,)):
-        return np.diag(np.broadcast_to(matrix, (m,)))
-    if matrix.shape != shape:
-        also = f", be its diagonal of shape ({m},) or a number" if m == p else ""
-        raise ValueError(f"{name} must have shape {shape}{also}, got {matrix.shape}")
-    return matrix
-
-
 def weight(name: str, value: Any, size: int, *, definite: bool = False) -> np.ndarray:
     """Return a weight (size, size) from a matrix, its diagonal, or one number for all."""
-    matrix = matrix_of(name, 1.0 if value is None else value, (size, size))
+    matrix = feedback.matrix_of(name, 1.0 if value is None else value, (size, size))
     if definite:
         scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
         scaled = matrix / scale[:, None] / scale
@@ -266,14 +174,14 @@ class LQR:
         if not m:
             raise ValueError(f"system must have inputs, got {system.name} without")
         x0, u0 = point(system, self.x0, self.u0, batch=False)
-        limit = None if self.limit is None else _validate.positive("limit", self.limit)
-        circle = np.flatnonzero(rows_of("circle", self.circle, system.states).any(axis=0))
+        limit = feedback.limit_of(self.limit, u0, "x0")
+        circle = np.flatnonzero(feedback.rows_of("circle", self.circle, system.states).any(axis=0))
         Q, R = weight("Q", self.Q, n), weight("R", self.R, m, definite=True)
-        require_holding(limit, u0, "x0")
         if self.tracked is None and not (self.reference is None and self.integral is None):
             raise ValueError("tracked is required with reference or integral: label what follows")
-        C = rows_of("tracked", () if self.tracked is None else self.tracked, system.states)
-        require_timeless(system, x0, u0)
+        tracked = () if self.tracked is None else self.tracked
+        C = feedback.rows_of("tracked", tracked, system.states)
+        feedback.require_timeless(system, x0, u0)
         sys = linearize(system, x0, u0)
         A, B = np.asarray(sys.A), np.asarray(sys.B)
         feedforward = np.zeros((n + m, len(C)))
@@ -325,10 +233,10 @@ class LQR:
         -------
         array, shape of x
         """
-        x = state_of(x, self.K.shape[1])
+        x = feedback.state_of(x, self.K.shape[1])
         target = np.zeros(len(x))
         target[: len(self.x0)] = self.target(t)[0]
-        error = x - columns(target, x)
+        error = x - feedback.columns(target, x)
         if self.wrapped:
             error[self.wrapped] = wrap_angle(error[self.wrapped])
         return error
@@ -354,18 +262,17 @@ class LQR:
     def __call__(self, x: Any, t: float) -> np.ndarray:
         """Evaluate u(x, t), shape (m,) or (m, N); with integrals u((x, z), t)."""
         error = self.error(x, t)
-        return saturate(columns(self.target(t)[1], error) - self.K @ error, self.limit)
+        u0 = feedback.columns(self.target(t)[1], error)
+        return feedback.saturate(u0 - self.K @ error, self.limit)
 
     @property
     def loop(self) -> System:
         """The closed loop with its integrals; its inputs are disturbances."""
         system = as_system(self.system, self.x0, self.u0)
         p = self.K.shape[1] - system.n
-        return replace(
-            closed_loop(system, partial(self._closed, system), {"z": p}, "LQR"),
-            linear=system.linear and self.limit is None and not self.wrapped,
-            timed=system.timed or callable(self.reference),
-        )
+        loop = feedback.closed_loop(system, partial(self._closed, system), {"z": p}, "LQR")
+        linear = system.linear and self.limit is None and not self.wrapped
+        return replace(loop, linear=linear, timed=system.timed or callable(self.reference))
 
     def _closed(self, system: System, y: np.ndarray, d: np.ndarray, t: float) -> np.ndarray:
         n, u = system.n, self(y, t)
@@ -374,86 +281,5 @@ class LQR:
             return motion
         # C x - r, as C Nx = I: the way round a circle included.
         error = self.C @ self.error(y, t)[:n]
-        z = unwound(error, u, self.K[:, n:], self.limit)
+        z = feedback.unwound(error, u, self.K[:, n:], self.limit)
         return np.concatenate([motion, y[n:] + z if system.discrete else z])
-
-
-def at_rest_at(target: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return the state (q, v) = (target, 0), and no control."""
-    q = np.atleast_1d(_validate.real_array("target", target))
-    return np.concatenate([q, 0 * q]), 0 * q
-
-
-def holding_control(system: System, target: Any, limit: float | None) -> np.ndarray:
-    """Return the control that keeps a system at rest at a target of its positions."""
-    if not system.m or system.n != 2 * system.m:
-        raise ValueError(
-            f"the system must have positions, as many velocities and as many inputs,"
-            f" got {system.n} states and {system.m} inputs; use LQR, or PID with outputs="
-        )
-    target = _validate.real_array("target", target, (system.m,))
-    at_rest = np.concatenate([target, np.zeros(system.m)])
-    require_timeless(system, at_rest, 0 * target)
-    u = find_equilibrium(system, at_rest, fixed=system.states).u
-    require_holding(limit, u, "the target")
-    return u
-
-
-@dataclass(frozen=True, eq=False)
-class PD:
-    """Proportional-derivative control of positions towards a target.
-
-    u = u0 - kp (q - target) - kd v, clipped to the limit, where u0 holds the target.
-
-    Parameters
-    ----------
-    system : system
-        With states (q, v) and one input a position: Particle, Oscillator, Pendulum, PlanarArm.
-    target : array, shape (m,)
-        Positions to hold.
-    kp, kd : float
-        Gains. Those that do not make the target asymptotically stable are refused.
-    limit : float > 0, optional
-        Largest magnitude of each input.
-
-    Raises
-    ------
-    TypeError, ValueError
-        The system has another form, the gains destabilize, the limit cannot hold the target.
-
-    References
-    ----------
-    K. J. Astrom and R. M. Murray, Feedback Systems, 2nd ed., chapter 11.
-
-    Examples
-    --------
-    >>> import statebook as sb
-    >>> PD(sb.Pendulum(), target=[0.0], kp=20.0, kd=3.0)([0.1, 0.0], 0.0).round(6)
-    array([7.8])
-    """
-
-    system: Any
-    target: Any
-    kp: float
-    kd: float
-    limit: float | None = None
-    u0: np.ndarray = field(init=False)
-
-    def __post_init__(self) -> None:
-        at_rest, idle = at_rest_at(self.target)
-        system = as_system(self.system, at_rest, idle)  # of a plain function, they tell n and m
-        limit = None if self.limit is None else _validate.positive("limit", self.limit)
-        kp, kd = _validate.number("kp", self.kp), _validate.number("kd", self.kd)
-        u0 = holding_control(system, self.target, limit)
-        vars(self).update(u0=u0, target=_validate.real_array("target", self.target))
-        loop = as_system(lambda x: system.dynamics(x, self._unlimited(x)), at_rest, dt=system.dt)
-        loop = replace(loop, linear=system.linear)
-        require_stable(loop, at_rest, f"the gains kp = {kp:g}, kd = {kd:g}")
-
-    def _unlimited(self, x: np.ndarray) -> np.ndarray:
-        q, v = np.split(x, 2)
-        return columns(self.u0, x) - self.kp * (q - columns(self.target, x)) - self.kd * v
-
-    def __call__(self, x: Any, t: float) -> np.ndarray:
-        """Evaluate u(x, t), shape (m,) or (m, N)."""
-        return saturate(self._unlimited(state_of(x, 2 * len(self.u0))), self.limit)
