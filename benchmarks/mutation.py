@@ -225,6 +225,7 @@ def run_here(copy: Path, log: Path, arguments: list[str], kept: Path | None, not
         os.dup2(file.fileno(), 2)
     paths = [str(copy / name) for name in PATHS]
     sys.path[:0] = paths
+    sys.dont_write_bytecode = False  # the tests are compiled once
     os.environ.update(REACHED_BY=notebook, OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
     os.environ["PYTHONPATH"] = os.pathsep.join(paths)
     measured = None
@@ -344,7 +345,7 @@ class Bench:
         """Try a mutant on what reaches it, fastest first, as far as the budget of seconds goes."""
         table, seconds = found["lines"].get(mutant["file"], {}), found["seconds"]
         reaching = {name for line in mutant["span"] for name in table.get(str(line), [])}
-        if not mutant["span"]:
+        if not reaching:  # executed on import: all that use the file may see it
             reaching = {name for names in table.values() for name in names}
         tests, spent = [], 0.0
         for name in sorted(reaching, key=lambda name: (seconds[name], name)):
