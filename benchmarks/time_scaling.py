@@ -234,6 +234,8 @@ def try_strange(seed: int) -> tuple[str, float, float, float, bool]:
             given |= {"start_speed": speed[0], "end_speed": speed[1]}
             path = part_of(path, *s)
             timed = sb.time_scale(path, **given)
+            kept = [timed.progress(t)[1] for t in (0.0, timed.duration)]
+            assert np.allclose(kept, speed[:2], rtol=1e-6, atol=0.0), f"ends {kept}"
         if factor is not None:
             given["duration"] = factor * timed.duration
             timed = sb.time_scale(path, **given)

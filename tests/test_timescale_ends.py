@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicHermiteSpline
 
 import statebook as sb
 from statebook.timescale.ends import Pauses
@@ -284,3 +285,26 @@ def test_a_warning_where_a_turn_looks_meant(points: list, warns: bool) -> None:
 def test_wraps_that_are_none(wrap: Any, error: type, message: str) -> None:
     with pytest.raises(error, match=message):
         sb.Path.through([[0.0, 1.0]], wrap=wrap)
+
+
+def test_the_part_of_a_motion_along_a_path_that_nearly_stops() -> None:
+    """p' falls by 5,000 within a short piece: the first grid is far too coarse for the ends."""
+    s = np.array([0.0, 0.00034762, 0.07485096, 0.08192275])
+    q = np.array([0.0, -0.01113233, -0.15696814, -0.01161679])
+    slope = np.array([-60.0586617, -0.0111166917, 0.00720704318, 24.2099151])
+    path = sb.Path(CubicHermiteSpline(s, q[:, None], slope[:, None]))
+    limits = {"velocity": [[-0.244, 27.0]], "acceleration": [[-1.88e-3, 2.032e-4]]}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of the tolerance
+        timed = sb.time_scale(path, **limits, start_speed=3.54e-05, end_speed=3.174e-04)
+    assert timed.audit().worst.use <= 1 + 1e-9
+    assert timed.velocity([0.0, timed.duration])[0] == pytest.approx(
+        slope[[0, -1]] * [3.54e-05, 3.174e-04], rel=1e-6
+    )
+
+
+def test_given_speeds_at_a_velocity_limit_with_limited_jerk() -> None:
+    path = sb.Path.through([[0, 1, 2, 4], [0, 1, 0, 1]])  # p' = 10 at both ends
+    timed = sb.time_scale(path, 1, 2, jerk=10, start_speed=0.1, end_speed=0.1)
+    assert timed.velocity([0.0, timed.duration])[1] == pytest.approx([1, 1], rel=1e-9)
+    assert timed.audit().worst.use <= 1 + 1e-9

@@ -393,3 +393,61 @@ def test_limits_hold_on_a_path_made_of_pieces_of_high_degree() -> None:
     _, q, v, a = dense(timed)
     assert np.linalg.norm(a, axis=0).max() <= 3 * (1 + 1e-9)
     assert np.linalg.norm(np.cos(q) * v, axis=0).max() <= 0.5 * (1 + 1e-8)
+
+
+@pytest.mark.parametrize("ratio", [1e3, 1e6, 1e9])
+def test_a_joint_that_turns_back_and_may_be_far_faster_one_way(ratio: float) -> None:
+    """Up with 1, down with 1,000 and more, which is never reached: the sum of both in closed form.
+
+    1 m up at v = 1, a = 1000 both ways; down again by a ramp up and one down.
+    """
+    path = sb.Path.through([[0.0, 1.0, 0.0]], kind="linear")
+    timed = sb.time_scale(path, velocity=[[-ratio, 1.0]], acceleration=1e3)
+    assert timed.duration == pytest.approx(1 + 1e-3 + 2 / np.sqrt(1e3), rel=1e-3)
+    curve = sb.Path.through([[0.0, 1.0, 0.3, 0.8]])
+    timed = sb.time_scale(curve, velocity=[[-ratio, 1.0]], acceleration=1e3)
+    assert timed.gap <= 1e-3
+    q = timed.position(np.linspace(0, timed.duration, 200_001))[0]
+    up = np.maximum(np.diff(q), 0.0).sum()
+    assert timed.duration > up
+
+
+def test_a_short_move_beside_steep_pieces_is_made() -> None:
+    """p' is 1e6 in a short piece, and s from 0 to 37: 1e-7 is still a movement."""
+    s, q = np.array([0.0, 1e-6, 30.0, 37.0]), np.array([0.0, 1.0, 1.0, 1.0 + 1e-7])
+    curve = PPoly(np.stack([np.diff(q) / np.diff(s), q[:-1]])[:, :, None], s)
+    timed = sb.time_scale(sb.Path(curve), acceleration=1.0)
+    assert timed.duration == pytest.approx(2 + 2 * np.sqrt(1e-7), rel=1e-6)
+    t = np.linspace(0, timed.duration, 100_001)
+    assert np.abs(np.diff(timed.position(t)[0])).max() < 1e-3
+
+
+def test_a_tool_that_is_held() -> None:
+    path = sb.Path.through([[0, 1, 3, 2], [0, 2, 1, 0.5]])
+
+    def held(q: np.ndarray) -> np.ndarray:
+        return np.array([0.1, 0.2, 0.3])
+
+    free = sb.time_scale(path, 1.0, 2.0)
+    for limit in ({"tool_speed": 1.0}, {"tool_acceleration": 1.0}):
+        timed = sb.time_scale(path, 1.0, 2.0, **limit, forward_kinematics=held)
+        assert timed.duration == pytest.approx(free.duration, rel=1e-6)
+
+
+def test_a_torque_without_an_axis_and_a_limit_that_needs_numbers_of_numpy() -> None:
+    path = sb.Path.through([[0.0, 1.0, 3.0]])
+    vector, number = (
+        sb.time_scale(path, torque=5.0, inverse_dynamics=lambda q, qd, qdd, of=of: 2 * qdd[of])
+        for of in (slice(0, 1), 0)
+    )
+    assert number.duration == pytest.approx(vector.duration, rel=1e-9)
+    own = sb.time_scale(path, lambda s: np.ones(s.shape), 2.0)
+    assert own.duration == pytest.approx(sb.time_scale(path, 1.0, 2.0).duration, rel=1e-3)
+
+
+def test_infinity_for_one_joint_is_no_arithmetic_with_it() -> None:
+    path = sb.Path.through([[0, 1, 3, 2], [0, 2, 1, 0.5]])
+    free = [[-np.inf, np.inf], [-2, 2]]
+    timed = sb.time_scale(path, velocity=[np.inf, 1], acceleration=free)
+    large = sb.time_scale(path, velocity=[1e12, 1], acceleration=[1e12, 2])
+    assert timed.duration == pytest.approx(large.duration, rel=1e-3)

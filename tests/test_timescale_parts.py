@@ -121,3 +121,11 @@ def test_an_audit_prints_as_a_table() -> None:
     assert lines[1].split()[:3] == ["velocity", "0", "1.0000"]
     assert lines[4].split()[:3] == ["acceleration", "1", "0.5000"]
     assert {u.exact for u in report} == {True}
+
+
+def test_the_rate_on_intervals_so_short_that_the_speeds_at_both_ends_are_one_number() -> None:
+    grid, _, _ = lay_grid(sb.Path.through([[0.0, 1.0]]), 0.0, 0.0, 2)
+    tiny, one = np.array([3e-18, -3e-18]), np.ones(2)
+    profile = Profile(grid, one, one, tiny, 0 * one, np.zeros((2, 2, 2)))
+    assert profile.u(np.zeros(1))[0] == pytest.approx(tiny, rel=1e-12)
+    assert profile.slower(2.0).u(np.zeros(1))[0] == pytest.approx(tiny / 4, rel=1e-12)

@@ -214,20 +214,19 @@ def _entropy(function: Any, grid: Mapping[str, Any], seed: int | None) -> tuple[
     if not callable(function):
         raise TypeError(f"function must be callable, got {function!r}")
     try:
-        rng = inspect.signature(function).parameters.get("rng")
+        rng = None if "rng" in grid else inspect.signature(function).parameters.get("rng")
     except (TypeError, ValueError):  # built in C: nothing to read
         rng = None
-    wants = rng is not None and "rng" not in grid
     if name := generator_outside(function):
         raise ValueError(
             f"function must not draw from the generator {name} outside of it: each process"
             " would repeat its numbers; give the function a parameter rng, and sweep a seed="
         )
-    if seed is not None and not wants:
+    if seed is not None and rng is None:
         raise TypeError("seed is for a function with a parameter rng, which this one has not")
-    if seed is None and rng and wants and rng.default is rng.empty:
-        raise TypeError("seed is required for a function with a parameter rng: give an integer")
     if seed is None:
+        if rng and rng.default is rng.empty:
+            raise TypeError("seed is required for a function with a parameter rng: give an integer")
         return int.from_bytes(np.random.default_rng().bytes(16), "little"), False
     return _validate.integer("seed", seed), True
 

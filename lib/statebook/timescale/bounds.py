@@ -53,8 +53,8 @@ def read_bounds(name: str, value: Any, rows: int, path: Path, around_zero: bool 
     """
     if callable(value):
 
-        def at(s: float) -> np.ndarray:
-            given = _numbers(f"{name}(s)", value(float(s)))
+        def at(s: np.float64) -> np.ndarray:
+            given = _numbers(f"{name}(s)", value(s))
             return _pair(f"{name}(s)", given, rows, around_zero, f" at s = {s:.6g}")
 
         cells = np.union1d(path.curve.x, np.linspace(path.s_start, path.s_end, _CELLS + 1)[1:-1])

@@ -22,6 +22,7 @@ _LOOK = (0.0, 0.5, 1.0)  # where in an interval limits are asked for
 _IDLE = 0.5  # a limit used less than this by the last motion is left out of the next program
 _LOWEST = 0.05  # part of s'^2 of the last motion below which the next one does not go
 _PENALTY = 100.0  # of what exceeds the limits, where near the last motion none keeps them
+_ITERATIONS = 50  # the motion is within the limits after each; ill-scaled programs go on for ever
 
 
 class Task(NamedTuple):
@@ -81,13 +82,22 @@ def times_of(stretch: Stretch, motion: Motion) -> np.ndarray:
 
 
 def _rows(
-    task: Task, grid: Grid, x: np.ndarray, u: np.ndarray, z: float, margin: np.ndarray
+    task: Task,
+    grid: Grid,
+    x: np.ndarray,
+    u: np.ndarray,
+    z: float,
+    margin: np.ndarray,
+    given: Sequence[bool],
 ) -> Iterator[tuple[Any, ...]]:
     """Yield rows of all limits at a fraction z of each interval, around a motion, and names.
 
     The rows are square x + left u0 + right u1 <= bound, four (N, R), in s'^2 at the left end and
-    s'' at both.
+    s'' at both. At ends whose speed is given this is known to be within its limits.
     """
+    known = np.zeros((len(x) - 1, 1), dtype=bool)
+    known[0] = given[0] and z == 0
+    known[-1] |= given[1] and z == 1
     at, h, margin = np.array([z]), grid.h[:, None], margin[:, None]
 
     def ends(bend: Any, rate: Any, square: Any, bound: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -99,6 +109,7 @@ def _rows(
         room = np.broadcast_to(limit.room(grid), (1, *b.shape))[0] + margin
         for side, sign, bound in (("upper", 1, upper), ("lower", -1, -lower)):
             names = [limit.name(row, side) for row in range(b.shape[1])]
+            bound = np.where(known & limit.squared, np.inf, bound)
             own = np.isfinite(bound) & (bound > 0) & (not isinstance(limit, TorqueLimit))
             unit = np.where(own, bound, 1.0)  # of two bounds on a row one may be far smaller
             yield *ends(0.0, sign * a / unit, sign * b / unit, bound / unit - room), names
@@ -168,7 +179,8 @@ def improved(
     inner = np.concatenate([[2 * steps[0] * leaves], inner, [2 * steps[-1] * arrives]])
     weight = (inner[1:] + inner[:-1]) / (2 * duration)
     margin = margin[leaves : len(margin) - arrives]
-    parts = [part for z in _LOOK for part in _rows(task, grid, x, u, z, margin)]
+    given = [speed is not None and speed > 0 for speed in stretch.speed]
+    parts = [part for z in _LOOK for part in _rows(task, grid, x, u, z, margin, given)]
     rows = [np.concatenate([part[k] for part in parts], axis=1) for k in range(4)]
     names = [name for part in parts for name in part[4]]
     left_out = np.isfinite(rows[-1])
@@ -222,6 +234,7 @@ def _solve(
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.max_threads = 1
+    settings.max_iter = _ITERATIONS
     inequalities = matrix.shape[0] - equalities
     cones = [clarabel.ZeroConeT(equalities), clarabel.NonnegativeConeT(inequalities)]
     hessian = scipy.sparse.diags(quadratic).tocsc()

@@ -107,7 +107,7 @@ class Limit(ABC):
         scale: Any = self.scale
         if self.squared:
             bound = self.squared_bounds(grid, z, lambda values: values[None])
-            scale = np.maximum(np.broadcast_to(bound, (1, *b.shape))[0], 1e-300)
+            scale = np.clip(np.broadcast_to(bound, (1, *b.shape))[0], 1e-300, 1e300)
             lower, upper = -np.inf, scale
         elif self.norm:
             a, b = polygon(a, b)

@@ -21,7 +21,11 @@ _PARTS = 4  # an interval is split into at most so many
 
 
 def refine(
-    limits: Sequence[Limit], profile: Profile, least: np.ndarray, stuck: bool = False
+    limits: Sequence[Limit],
+    profile: Profile,
+    least: np.ndarray,
+    stuck: bool = False,
+    narrow: bool = False,
 ) -> tuple[Grid, np.ndarray]:
     """Split the intervals where time is lost, or not known not to be.
 
@@ -35,6 +39,8 @@ def refine(
         Times of the intervals that no motion is below.
     stuck : bool
         Whether no motion was found on the grid: then all intervals are split.
+    narrow : bool
+        Whether only those are split where the motion has to be slow.
 
     Returns
     -------
@@ -48,7 +54,7 @@ def refine(
     lost = np.maximum(times * np.clip(1 - use, 0, 1).mean(axis=0), times - least)
     allowed = max(float(lost.sum()), 1e-12 * profile.duration) / (_GAIN * len(lost))
     parts = np.clip(np.ceil(np.sqrt(lost / allowed)), 1 + stuck, _PARTS).astype(int)
-    parts[_bottlenecks(profile)] = _PARTS
+    parts = np.where(_bottlenecks(profile), _PARTS, 1 if narrow else parts)
     grid, parent, left, right = profile.grid.split(parts)
     z = left + np.multiply.outer(_ENDS, right - left)
     bend, chord = profile.bulge[parent], profile.rise[parent]
@@ -129,7 +135,7 @@ def fastest(limits: Sequence[Limit], grid: Grid, tolerance: float) -> tuple[Prof
     _require_bounded(limits, grid)
     rows = sum(2 * len(limit.upper) * (limit.degree(grid) + 1) for limit in limits)
     curvature = np.zeros(len(grid.h))
-    best, least = None, 0.0
+    best, least, tries = None, 0.0, 0
     work = _WORK * max(len(grid.h), _SMALLEST)
     while True:
         top = ceiling(limits, grid)
@@ -141,6 +147,7 @@ def fastest(limits: Sequence[Limit], grid: Grid, tolerance: float) -> tuple[Prof
                 best = guide
         except StuckError:
             guide = _without_start(limits, grid, curvature, top.x)
+            tries += guide is not None
             over = work < 0 if guide else len(grid.h) > _SEARCH
             if best is None and (over or not top.possible):
                 fine, parent, *_ = grid.split(np.full(len(grid.h), max(_NAMED // len(grid.h), 1)))
@@ -155,7 +162,7 @@ def fastest(limits: Sequence[Limit], grid: Grid, tolerance: float) -> tuple[Prof
         work -= len(grid.h) * (_OVERHEAD + rows)
         if best is not None and least >= best.duration * (1 - tolerance):
             return best, least
-        grid, curvature = refine(limits, guide, top.times, stuck)
+        grid, curvature = refine(limits, guide, top.times, stuck, best is None and tries % 3 > 0)
         if best is not None and len(grid.h) * (_OVERHEAD + rows) > work:
             return best, least
 
@@ -171,7 +178,8 @@ def _without_start(
         part._replace(start=part.start and None, end=part.end and None) for part in grid.sections
     ]
     try:
-        return solve(limits, replace(grid, sections=tuple(free)), curvature, top)
+        found = solve(limits, replace(grid, sections=tuple(free)), curvature, top)
+        return replace(found, grid=grid)
     except StuckError:
         return None
 

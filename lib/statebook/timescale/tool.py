@@ -22,6 +22,7 @@ from statebook.timescale.path import Path
 
 _DEGREE = 7  # of the polynomials that stand for the tool's position
 _TOLERANCE = 1e-7  # part of its derivatives by which these may miss them
+_STILL = 1e-6  # a tool that moves by less than this part of its distance from 0 is held
 _SMOOTH = 0.05  # a fit worse than this is no fit
 
 
@@ -108,6 +109,8 @@ def _fit_tool(path: Path, kinematics: Callable[..., Any], orders: tuple[int, ...
         return np.array([alone(column) for column in q.T])
 
     found = fit(position, path.curve.x, _DEGREE, _TOLERANCE, orders)
+    still = _STILL * np.abs(found.curve.c[-1]).max() / np.ptp(path.curve.x) ** np.array(orders)
+    found = found._replace(scale=np.maximum(found.scale, still[:, None]))
     size = max(found.scale[-1].max(), found.scale[0].max() / np.ptp(s) ** (len(orders) - 1), 1e-300)
     off = found.error[-1].max(axis=1) / size
     if off.max() > _SMOOTH:

@@ -180,7 +180,8 @@ class _Forms:
 def _rows(function: Callable[..., Any], q: np.ndarray) -> tuple[int, float]:
     """Return the number of rows of the function's values, and their relative noise."""
     still = np.zeros_like(q[:, 0])
-    values = [np.array(function(q[:, 0].copy(), still.copy(), still.copy())) for _ in range(_CALLS)]
+    args = q[:, 0], still, still
+    values = [np.array(function(*(a.copy() for a in args)), ndmin=1) for _ in range(_CALLS)]
     value = values[0]
     if value.ndim != 1 or value.dtype.kind not in "iuf":
         raise ValueError(
@@ -203,25 +204,25 @@ def _vectorized(
 ) -> Callable[..., Any]:
     """Return the function for batches: itself if its batches agree with its single values."""
 
-    def one_by_one(q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
-        return np.array(
-            # Copied at once: it may be the function's own buffer.
-            [np.array(function(q[:, i], qd[:, i], qdd[:, i])) for i in range(q.shape[1])],
-            dtype=float,
-        ).T.reshape(rows, q.shape[1])
+    rtol = max(1e-9, 10 * noise)
+    batched = takes_batches(function, q, slope, slope[::-1], alone=function, rtol=rtol)
 
-    def finite(values: np.ndarray, q: np.ndarray) -> np.ndarray:
+    def torques(*motion: np.ndarray) -> np.ndarray:
+        if batched:
+            values = np.array(function(*motion), dtype=float)
+        else:  # Copied at once: it may be the function's own buffer.
+            columns = zip(*(part.T for part in motion), strict=True)
+            values = np.array([np.array(function(*c), dtype=float) for c in columns]).T
+        values = values.reshape(rows, motion[0].shape[1])
         bad = ~np.isfinite(values).all(axis=0)
         if bad.any():
-            at = q[:, np.flatnonzero(bad)[0]]
+            at = motion[0][:, bad.argmax()]
             raise ValueError(
                 f"inverse_dynamics must return finite torques; it does not at q = {at}"
             )
         return values
 
-    if takes_batches(function, q, slope, slope[::-1], alone=function, rtol=max(1e-9, 10 * noise)):
-        return lambda q, qd, qdd: finite(np.array(function(q, qd, qdd), dtype=float), q)
-    return lambda q, qd, qdd: finite(one_by_one(q, qd, qdd), q)
+    return torques
 
 
 def _check_form(
