@@ -70,6 +70,8 @@ def held(folder: Path) -> dict[str, str]:
             content = path.read_bytes()
             if path.suffix == ".ipynb":
                 json.loads(content)
+            if path.name == "searchindex.js":  # Sphinx numbers its words anew each time
+                content = content[:16] + content[-1:]
             digests[path.relative_to(folder).as_posix()] = hashlib.sha256(content).hexdigest()
     return digests
 

@@ -130,7 +130,9 @@ class Elsewhere(Inline):
 @pytest.mark.parametrize("function", [inverse, functools.partial(inverse)])
 def test_workers_that_cannot_import_the_function_are_named_at_once(function):
     pool = Elsewhere()
-    message = r"workers cannot import clusterable \(No module named .*: start them in its folder"
+    message = (
+        r"workers cannot import clusterable \(No module named .*: start them with the folder of"
+    )
     with pytest.raises(ImportError, match=message):
         sb.sweep(function, {"x": [1, 2]}, executor=pool, **QUIET)
     assert pool.chunks == []

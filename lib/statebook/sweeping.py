@@ -297,8 +297,8 @@ def _require_import(executor: Any, *used: Any) -> None:
         try:
             executor.submit(importlib.import_module, name).result()
         except Exception as error:
-            said = f"executor's workers cannot import {name} ({error}): start them in its folder"
-            raise ImportError(f"{said}, or name that in their PYTHONPATH") from error
+            said = f"executor's workers cannot import {name} ({error}): start them with the folder"
+            raise ImportError(f"{said} of that module in their PYTHONPATH") from error
 
 
 def _digests(function: Any, grid: dict[str, Any]) -> dict[str, str]:
