@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import functools
 import os
+import pickle
 import subprocess
 import sys
 import textwrap
@@ -122,9 +123,12 @@ class Elsewhere(Inline):
     """Workers that have statebook alone."""
 
     def submit(self, function, *arguments):
-        if arguments == (inverse.__module__,):
-            arguments = ("clusterable_of_nowhere",)
-        return super().submit(function, *arguments)
+        if arguments == (f"{inverse.__module__}:__name__",):
+            arguments = ("clusterable_of_nowhere:__name__",)
+        future = super().submit(function, *arguments)
+        if future.exception() is None:
+            pickle.dumps(future.result())
+        return future
 
 
 @pytest.mark.parametrize("function", [inverse, functools.partial(inverse)])
