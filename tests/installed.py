@@ -30,6 +30,7 @@ INI = """[pytest]
 filterwarnings =
     error
     ignore:'\\w+' (argument is )?deprecated.* use '\\w+':DeprecationWarning
+    ignore:Setting the shape on a NumPy array:DeprecationWarning:control
 """
 BUILD = "import sys, setuptools.build_meta as b; getattr(b, sys.argv[1])(sys.argv[2])"
 

@@ -31,7 +31,7 @@ def lab(tmp_path_factory):
         server = subprocess.Popen(command, stdout=log, stderr=log, cwd=folder)
     address = f"http://127.0.0.1:{port}"
     try:
-        for _ in range(120):
+        for _ in range(480):
             try:
                 urllib.request.urlopen(f"{address}/api?token={token}", timeout=1).read()
                 break
@@ -39,6 +39,8 @@ def lab(tmp_path_factory):
                 if server.poll() is not None:
                     pytest.skip("JupyterLab does not start here")
                 time.sleep(0.25)
+        else:
+            pytest.fail("JupyterLab does not answer within two minutes")
         yield address, token, folder
     finally:
         server.terminate()
@@ -54,13 +56,15 @@ def test_a_chapter_runs_in_jupyterlab(browser, lab, name):
     page.goto(f"{address}/lab/workspaces/{name}/tree/{name}.ipynb?token={token}")
     page.wait_for_selector(".jp-NotebookPanel .jp-Cell", timeout=60_000)
     page.wait_for_selector(".jp-Toolbar-kernelName:not(:has-text('No Kernel'))", timeout=60_000)
-    page.wait_for_timeout(1500)  # until the kernel is ready: a dialog would block what follows
+    # Before the kernel is ready a dialog would block what follows.
+    ready = ".jp-Notebook-ExecutionIndicator[data-status=idle]"
+    page.wait_for_selector(ready, state="attached", timeout=60_000)
     page.click(".lm-MenuBar-item:has-text('Run')")
     page.click(".lm-Menu-item:has-text('Run All Cells')")
     page.keyboard.press("Control+s")
     saved = folder / f"{name}.ipynb"
     last = None
-    for _ in range(240):
+    for _ in range(600):
         page.wait_for_timeout(500)
         page.keyboard.press("Control+s")
         cells = json.loads(saved.read_text(encoding="utf-8"))["cells"]

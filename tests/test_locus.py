@@ -413,3 +413,15 @@ def test_a_feedthrough_bounds_the_gain():
     # 1 + k (0.5 - 1 / (s + 1)) = 0 has its root at 0 for k = 2.
     plant = control.ss([[-1.0]], [[1.0]], [[-1.0]], [[0.5]])
     assert sb.stability(plant).margins().gain == pytest.approx((0, 2))
+
+
+def test_eigenvalues_at_rest_ask_for_no_halving():
+    """What does not move is told apart at once: about one call a step, and not 2^12."""
+    calls = []
+
+    def chain(k):
+        calls.append(k)
+        assert len(calls) < 200, "steps were halved"
+        return np.diag([-1.0, -2.0, -3.0])
+
+    assert sb.eigenvalue_locus(chain, {"k": np.linspace(0, 1, 5)}).crossings == ()

@@ -489,6 +489,7 @@ def test_report_reads_well():
 def test_distance_of_normal_matrices_is_that_of_the_spectrum():
     assert sb.distance_to_instability(normal50(-0.25)) == pytest.approx(0.25, rel=1e-12)
     assert sb.distance_to_instability(0.75 * orthogonal(20, 4), dt=1.0) == pytest.approx(0.25)
+    assert sb.distance_to_instability([[0.0]], dt=True) == 1
 
 
 @pytest.mark.parametrize("c", [0.1, 1.0, 30.0, 1e4])
@@ -733,3 +734,29 @@ def test_a_mode_that_rests_is_not_damped():
     still, decaying = sb.stability([[0.0, 0.0], [0.0, -2.0]]).modes
     assert (still.damping, still.frequency, still.time_constant) == (0, 0, np.inf)
     assert (decaying.damping, decaying.frequency, decaying.time_constant) == (1, 2, 0.5)
+
+
+@pytest.mark.parametrize("size", [1e-310, 1e-200, 1e200, 1e300])
+def test_sizes_near_the_ends_of_double_precision(size):
+    """Whatever the unit: squares of entries overflow or vanish, the verdict does not."""
+    swing = size * np.array([[0.0, 1.0], [-1.0, 0.0]])
+    assert sb.stability(swing).verdict == "marginally stable"
+    assert sb.stability(swing).eigenvalues[0].imag == pytest.approx(size, rel=1e-9)
+    damped = size * np.array([[0.0, 1.0], [-1.0, -1.0]])
+    assert sb.stability(damped).spectral_margin == pytest.approx(size / 2, rel=1e-9)
+    distance = sb.distance_to_instability([[0.0, 1.0], [-1.0, -1.0]])
+    assert sb.distance_to_instability(damped) == pytest.approx(size * distance, rel=1e-9)
+    assert sb.critical_step(damped, "euler") == pytest.approx(1.0 / size, rel=1e-9)
+
+
+def test_a_defective_eigenvalue_beside_a_shared_one():
+    """Semisimple eigenvalues at a point in two blocks, a Jordan block there in a third."""
+    A = np.array([[1.0, 0, 0, 0, 0, 0], [0, 0, 1, 1, 1, -2], [1, 0, 0, 0, 0, -1],
+                  [-1, -1, 2, 2, 1, -3], [0, 0, 0, 0, 1, -2], [0, 0, 0, 0, 0, -1]])  # fmt: skip
+    report = sb.stability(A, dt=True)
+    assert report.verdict == sb.stability(A, dt=True, exact=True).verdict == "unstable"
+
+
+def test_a_map_of_no_function_is_refused():
+    with pytest.raises(TypeError, match="function must be callable, got ndarray"):
+        sb.eigenvalue_map(np.eye(2), [1.0])

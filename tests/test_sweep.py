@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import importlib
 import math
 import os
 import pickle
@@ -83,7 +84,8 @@ class Inline(Executor):
         self.chunks = []
 
     def submit(self, function, *arguments):
-        self.chunks.append(len(arguments[1]))
+        if function is not importlib.import_module:
+            self.chunks.append(len(arguments[1]))
         future = Future()
         try:
             future.set_result(function(*arguments))
@@ -100,7 +102,7 @@ class Waiting(Inline):
         self.last, self.waiting = last, []
 
     def submit(self, function, *arguments):
-        if arguments[2] == self.last:
+        if arguments[2:3] in ((), (self.last,)):
             return super().submit(function, *arguments)
         self.waiting.append(Future())
         return self.waiting[-1]

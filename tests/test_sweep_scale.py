@@ -104,7 +104,7 @@ class Given(Inline):
         self.error = error
 
     def submit(self, function, *arguments):
-        if arguments[2] != 4:
+        if arguments[2:3] != (4,):
             return super().submit(function, *arguments)
         future = Future()
         future.set_exception(self.error)
@@ -116,6 +116,25 @@ def test_what_an_executor_gives_up_is_named(error):
     with pytest.raises(RuntimeError, match=r"died at \{'x': 4\}, \{'x': 5\}: killed") as caught:
         sb.sweep(abs_of, {"x": range(9)}, executor=Given(error), chunk=2, **QUIET)
     assert caught.value.__cause__ is error
+
+
+class Elsewhere(Inline):
+    """Workers that have statebook alone."""
+
+    def submit(self, function, *arguments):
+        if arguments == (inverse.__module__,):
+            arguments = ("clusterable_of_nowhere",)
+        return super().submit(function, *arguments)
+
+
+@pytest.mark.parametrize("function", [inverse, functools.partial(inverse)])
+def test_workers_that_cannot_import_the_function_are_named_at_once(function):
+    pool = Elsewhere()
+    message = r"workers cannot import clusterable \(No module named .*: start them in its folder"
+    with pytest.raises(ImportError, match=message):
+        sb.sweep(function, {"x": [1, 2]}, executor=pool, **QUIET)
+    assert pool.chunks == []
+    np.testing.assert_array_equal(sb.sweep(abs_of, {"x": [1, 2]}, executor=pool, **QUIET), [1, 2])
 
 
 def abs_of(x):

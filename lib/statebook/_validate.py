@@ -57,8 +57,7 @@ def array(name: str, value: Any, shape: tuple[int | None, ...] | None = None) ->
             result = result if result.imag.any() else result.real
     if result.dtype.kind not in "biufc":
         raise TypeError(f"{name} must be an array of numbers, got {value!r}")
-    if result.dtype not in (np.float64, np.complex128):
-        result = result.astype(complex if result.dtype.kind == "c" else float)
+    result = np.asarray(result, dtype=complex if result.dtype.kind == "c" else float)
     if shape is not None and not matches(result.shape, shape):
         wanted = "(" + ", ".join("any" if s is None else str(s) for s in shape)
         wanted += ",)" if len(shape) == 1 else ")"
@@ -178,9 +177,7 @@ def square(name: str, A: Any) -> np.ndarray:
 
 def is_discrete(dt: float | bool | None) -> bool:
     """Whether a timebase is discrete; a negative one is refused."""
-    if dt is None or dt is True:
-        return dt is True
-    return non_negative("dt", dt) > 0
+    return dt is True or (dt is not None and non_negative("dt", dt) > 0)
 
 
 _ROUNDING = 1e-10  # of an entry, once the diagonal is scaled to 1

@@ -216,6 +216,5 @@ def _text(value: Any, floor: float) -> str:
     if value.ndim:
         return "[" + ", ".join(_text(entry, floor) for entry in value.ravel()) + "]"
     parts = [part if abs(part) > floor else 0.0 for part in (value.real, value.imag)]
-    if np.iscomplexobj(value):
-        return f"{parts[0]:.4g}{parts[1]:+.4g}j"
-    return f"{parts[0]:.4g}"
+    real = f"{parts[0]:.4g}"
+    return f"{real}{parts[1]:+.4g}j" if np.iscomplexobj(value) else real

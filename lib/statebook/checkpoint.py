@@ -39,8 +39,7 @@ class Checkpoint:
             raise TypeError(f"reduce must be (function, initial), got {reduce!r}")
         self.size = size
         self.fold: Any = reduce and reduce[0]
-        initial = reduce[1] if reduce else 0
-        self.state = 0, initial  # points folded, and their total
+        self.state = 0, reduce[1] if reduce else 0  # points folded, and their total
         self.ready: dict[int, np.ndarray] = {}  # other parts, by their first points
         self.file: Path | None = None
         self.due = 0.0
@@ -61,9 +60,9 @@ class Checkpoint:
     def _fold(self) -> None:
         while self.fold and self.state[0] in self.ready:
             count, total = self.state
-            block = self.ready[count]
-            total = functools.reduce(self.fold, block, copy.deepcopy(total))
-            self.state = count + len(block), total  # in one step: an interruption may follow
+            total = functools.reduce(self.fold, self.ready[count], copy.deepcopy(total))
+            # In one step, as an interruption may follow.
+            self.state = count + len(self.ready[count]), total
             del self.ready[count]
 
     def result(self, shape: tuple[int, ...]) -> Any:
@@ -87,12 +86,9 @@ class Checkpoint:
                     total, starts, results = stored["total"], stored["starts"], stored["results"]
             except Exception as error:
                 raise ValueError(f"cache must be a file of sweep's: {file} ({error})") from None
-            other = ", ".join(name for name in self.key if known.get(name) != self.key[name])
-            if other:
-                raise ValueError(
-                    f"cache must be of this sweep, and {file} is of another {other}: delete it,"
-                    " or name another file"
-                )
+            if other := ", ".join(n for n in self.key if known.get(n) != self.key[n]):
+                said = f"cache must be of this sweep, and {file} is of another {other}: delete it"
+                raise ValueError(f"{said}, or name another file")
             self.state = count, total[()]
             blocks = np.split(results, range(self.size, len(results), self.size))
             self.ready = dict(zip(starts.tolist(), blocks, strict=False))

@@ -111,11 +111,6 @@ class Steps:
         before = np.concatenate(self.samples, axis=-1)[..., :count]
         self.samples, self.taken = [before, self.state[..., None]], count + 1
 
-    def taken_samples(self) -> tuple[np.ndarray, np.ndarray]:
-        """The times of the samples so far, and the states there."""
-        states = np.concatenate(self.samples, axis=-1)
-        return self.shown[: states.shape[-1]], states
-
     def settle(self) -> DenseOutput | None:
         """Take the samples within the steps; return the dense output of the run, if it has one."""
         if not self._pieces:

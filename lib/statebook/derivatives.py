@@ -129,8 +129,7 @@ def differentiate(
     chosen = np.arange(len(z)) if columns is None else np.asarray(columns, dtype=int)
     names = labels or [f"component {j} of (x, u)" for j in range(len(z))]
     with np.errstate(all="ignore"):
-        start = f(z) if f0 is None else f0
-        return _Differentiation(f, names, z, s, chosen, start).result()
+        return _Differentiation(f, names, z, s, chosen, f(z) if f0 is None else f0).result()
 
 
 class _Differentiation:
@@ -254,8 +253,7 @@ class _Differentiation:
             measured = (4 / _RADII[-1]) * self._measured_noise(points)[:, None]
             good, err = good_at(np.maximum(rounding, measured))
         if known:
-            if (tiny & good & (part > 0)).any():
-                self.J[here] = np.where(tiny & good, 0.0, self.J[here])
+            self.J[here] = np.where(tiny & good, 0.0, self.J[here])
         else:
             still = change == 0
             self.J[here] = np.where(np.abs(T) <= err, 0.0, T) / s_j

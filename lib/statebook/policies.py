@@ -220,7 +220,7 @@ def as_control(
     if not isinstance(u, ControlTrajectory) and not callable(u):
         u = _plan_of(u, m, batch, times, sampled)
     if isinstance(u, ControlTrajectory):
-        if u.m != m and u.m != m * int(np.prod(batch)):
+        if u.m not in (m, m * int(np.prod(batch))):
             raise ValueError(f"u must have m = {m} inputs, got a control trajectory of {u.m}")
         start, end = u.breakpoints[[0, -1]]
         slack = 1e-12 * max(np.abs(times[[0, -1]]).max(), end - start)

@@ -42,7 +42,8 @@ def through(
         except StoppedError as stopped:
             stop = stopped
     dense, felt = steps.settle(), control()
-    times, states = steps.taken_samples()
+    states = np.concatenate(steps.samples, axis=-1)
+    times = steps.shown[: states.shape[-1]]
     beyond = ~np.isfinite(states.reshape(-1, len(times))).all(axis=0)
     if beyond.any():  # within the last step, or where an interpolation asks outside the domain
         states, times = states[..., : np.argmax(beyond)], times[: np.argmax(beyond)]

@@ -1,6 +1,7 @@
 """Evaluate a function over a grid of parameters, on one machine or many."""
 
 import hashlib
+import importlib
 import inspect
 import itertools
 import math
@@ -114,14 +115,16 @@ def sweep(
     grid = {k: v if isinstance(v, range | np.ndarray) else list(v) for k, v in grid.items()}
     number = math.prod(shape)
     entropy = _entropy(function, grid, seed)
-    if model is not None:
-        variant(model, _point(grid, 0))  # says what is wrong with a name
-        function = partial(_of_variant, function, model)
     if not (executor is None or isinstance(executor, Executor)):
         raise TypeError(f"executor must be a concurrent.futures.Executor, got {executor!r}")
     processes = executor is None or isinstance(executor, ProcessPoolExecutor)
     if processes:
         _require_module(function)
+    else:
+        _require_import(executor, sweep, function, model)
+    if model is not None:
+        variant(model, _point(grid, 0))  # says what is wrong with a name
+        function = partial(_of_variant, function, model)
     if processes or cache is not None:
         key = _digests(function, grid)
     with ExitStack() as stack:
@@ -202,11 +205,8 @@ def _shape(grid: Any) -> tuple[int, ...]:
 
 def _point(grid: Mapping[str, Any], index: int) -> dict[str, Any]:
     """Return the point at an index; the last parameter runs first."""
-    point = {}
-    for name in [*grid][::-1]:
-        index, place = divmod(index, len(grid[name]))
-        point[name] = grid[name][place]
-    return {name: point[name] for name in grid}
+    places = np.unravel_index(index, [*map(len, grid.values())])
+    return {name: grid[name][place] for name, place in zip(grid, places, strict=True)}
 
 
 def _entropy(function: Any, grid: Mapping[str, Any], seed: int | None) -> tuple[int, bool]:
@@ -214,20 +214,19 @@ def _entropy(function: Any, grid: Mapping[str, Any], seed: int | None) -> tuple[
     if not callable(function):
         raise TypeError(f"function must be callable, got {function!r}")
     try:
-        rng = inspect.signature(function).parameters.get("rng")
+        rng = None if "rng" in grid else inspect.signature(function).parameters.get("rng")
     except (TypeError, ValueError):  # built in C: nothing to read
         rng = None
-    wants = rng is not None and "rng" not in grid
     if name := generator_outside(function):
         raise ValueError(
             f"function must not draw from the generator {name} outside of it: each process"
             " would repeat its numbers; give the function a parameter rng, and sweep a seed="
         )
-    if seed is not None and not wants:
+    if seed is not None and rng is None:
         raise TypeError("seed is for a function with a parameter rng, which this one has not")
-    if seed is None and rng and wants and rng.default is rng.empty:
-        raise TypeError("seed is required for a function with a parameter rng: give an integer")
     if seed is None:
+        if rng and rng.default is rng.empty:
+            raise TypeError("seed is required for a function with a parameter rng: give an integer")
         return int.from_bytes(np.random.default_rng().bytes(16), "little"), False
     return _validate.integer("seed", seed), True
 
@@ -265,8 +264,7 @@ def generator_outside(function: Any) -> str | None:
 def _parts(value: Any) -> list[tuple[str, Any]]:
     """Names and values that a function, an object or a partial holds, or takes from around."""
     if isinstance(value, partial):
-        named = [*value.keywords.items(), *((repr(a), a) for a in value.args)]
-        return [*named, ("", value.func)]
+        return [*value.keywords.items(), *((repr(a), a) for a in value.args), ("", value.func)]
     if inspect.ismethod(value):
         return [("__self__", value.__self__), ("", value.__func__)]
     if not inspect.isfunction(value):
@@ -282,12 +280,25 @@ def _parts(value: Any) -> list[tuple[str, Any]]:
     return [*((k, p.default) for k, p in parameters.items()), *around.nonlocals.items(), *of_module]
 
 
+def _module(value: Any) -> str | None:
+    return getattr(getattr(value, "func", value), "__module__", None)
+
+
 def _require_module(function: Any) -> None:
-    main = sys.modules["__main__"]
-    inner = getattr(function, "func", function)
     forked = multiprocessing.get_context().get_start_method() == "fork"
-    if not (forked or hasattr(main, "__file__")) and getattr(inner, "__module__", "") == "__main__":
+    script = hasattr(sys.modules["__main__"], "__file__")
+    if not (forked or script) and _module(function) == "__main__":
         raise TypeError(f"function must not come from a notebook or a prompt here: {_ELSEWHERE}")
+
+
+def _require_import(executor: Any, *used: Any) -> None:
+    """Have a worker import what its tasks name: one that cannot load a task may end in silence."""
+    for name in {_module(value): None for value in used if _module(value)}:
+        try:
+            executor.submit(importlib.import_module, name).result()
+        except Exception as error:
+            said = f"executor's workers cannot import {name} ({error}): start them in its folder"
+            raise ImportError(f"{said}, or name that in their PYTHONPATH") from error
 
 
 def _digests(function: Any, grid: dict[str, Any]) -> dict[str, str]:
@@ -297,9 +308,8 @@ def _digests(function: Any, grid: dict[str, Any]) -> dict[str, str]:
         try:
             digests[name] = hashlib.sha256(pickle.dumps(value, protocol=5)).hexdigest()
         except Exception as error:
-            raise TypeError(
-                f"{name} cannot be sent to a process ({error}): {_ELSEWHERE}"
-            ) from error
+            said = f"{name} cannot be sent to a process ({error}): {_ELSEWHERE}"
+            raise TypeError(said) from error
     return digests
 
 

@@ -26,7 +26,7 @@ def _ratios(p: Parameters) -> np.ndarray:
     """Second angle over first, in the slow and in the fast mode."""
     arm = sb.PlanarArm(lengths=(p.l1, p.l2), masses=(p.m1, p.m2), g=G)
     A, _ = sb.jacobians(arm, [-np.pi / 2, 0.0, 0.0, 0.0], [0.0, 0.0])
-    squares, V = np.linalg.eig(A[2:, :2])
+    squares, V = map(np.real, np.linalg.eig(A[2:, :2]))
     return (V[1] / V[0])[np.argsort(-squares)]
 
 

@@ -161,6 +161,21 @@ def test_every_single_point_counts():
         assert message and f"point {index + 1} of 1000" in message
 
 
+@pytest.mark.parametrize("level", [3e-10, 2e-5, 3.0])
+def test_a_line_that_is_flat_but_for_rounding_of_what_is_beside_it(level):
+    """A voltage of 2e-5 is a difference of sixties: their last digits are no range."""
+    noise = np.random.default_rng(1).choice([-7e-15, 0.0, 7e-15], size=(2, 1000))
+    stored, new = (summarize(level + row, beside=110.0) for row in noise)
+    assert not difference(stored, new, rtol=1e-5, atol=0.0)
+    assert not difference(summarize(level + noise[0]), new, rtol=1e-5, atol=0.0)
+    for step in (1e-6, level + 1e-6):
+        moved = summarize(step + level + noise[1], beside=110.0)
+        assert difference(stored, moved, rtol=1e-9, atol=0.0)
+    moved = level + noise[1]
+    moved[137] += 1e-4
+    assert difference(stored, summarize(moved, beside=110.0), rtol=1e-5, atol=0.0)
+
+
 def test_a_change_within_the_tolerance_is_none():
     stored, new = summarize(np.sin(T)), summarize(np.sin(T) * 1.0003)
     assert difference(stored, new, rtol=1e-5, atol=1e-12)

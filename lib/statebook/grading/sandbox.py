@@ -183,7 +183,8 @@ def as_array(value: Any) -> np.ndarray:
     many = value.size if isinstance(value, np.ndarray) else len(value) if sized else 0
     if many > MOST:
         raise AnswerError(f"an answer has {MOST} entries at most, got {many}")
-    return np.array(value)
+    array = np.array(value)
+    return array.real if array.dtype.kind == "c" and not array.imag.any() else array
 
 
 def kind(value: Any) -> str:

@@ -57,8 +57,7 @@ class Player:
 
     def __repr__(self) -> str:
         ranges = [f"{name} {values[0]} to {values[-1]}" for name, values in self.axes]
-        lines = [f"{len(self.frames)} frames: {', '.join(ranges)}", *self.failures]
-        return "\n".join(lines)
+        return "\n".join([f"{len(self.frames)} frames: {', '.join(ranges)}", *self.failures])
 
     def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, Any]:
         return {"text/html": self.to_html(), "text/plain": repr(self), **self.digests}

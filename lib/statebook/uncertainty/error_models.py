@@ -1,6 +1,6 @@
 """Errors wrapped round systems and policies; `monte_carlo` runs them."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import fields, is_dataclass, replace
 from functools import partial
 from typing import Any
@@ -9,11 +9,9 @@ import numpy as np
 
 from statebook import _validate
 from statebook.control_trajectory import ControlTrajectory
-from statebook.policies import shaped
+from statebook.policies import Policy, shaped
 from statebook.systems import System, as_system
 from statebook.uncertainty.noise import HeldNoise
-
-Policy = Callable[[np.ndarray, float], Any]
 
 
 def with_disturbance(system: Any, G: Any = None) -> System:

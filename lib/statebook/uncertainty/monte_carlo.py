@@ -320,7 +320,15 @@ def _disturbed(
 ) -> tuple[System, int]:
     """Return the system with the inputs (u, w), and how many u are."""
     system, policy, disturbance, G = errors
-    system = _viewed(system, start, first[0] if first else policy, bool(first))
+    value, u = first[0] if first else policy, None
+    if isinstance(value, ControlTrajectory):
+        u = np.zeros(value.m)
+    elif value is not None:
+        # One number a trajectory is a single input.
+        single = np.ndim(value) == 0 or (bool(first) and value.shape == start.shape[1:])
+        u = np.zeros(1 if single else len(value))
+    # Of a plain function, the states and a control tell n and m.
+    system = as_system(system, start[:, 0], u, names=("x0", "policy"))
     if len(start) != system.n:
         raise ValueError(
             f"x0 must have shape ({system.n},) or ({system.n}, N), got {len(start)} rows"
@@ -335,18 +343,6 @@ def _disturbed(
     if isinstance(disturbance, HeldNoise):
         _check_noise(disturbance, period, disturbed.m - system.m)
     return disturbed, system.m
-
-
-def _viewed(system: Any, start: np.ndarray, value: Any, asked: bool) -> System:
-    """Return the system; of a plain function, the states and a control tell n and m."""
-    x, u = start[:, 0], None
-    if isinstance(value, ControlTrajectory):
-        u = np.zeros(value.m)
-    elif value is not None:
-        # One number a trajectory is a single input.
-        single = np.ndim(value) == 0 or (asked and value.shape == start.shape[1:])
-        u = np.zeros(1 if single else len(value))
-    return as_system(system, x, u, names=("x0", "policy"))
 
 
 def _check_noise(noise: HeldNoise, period: float, q: int) -> None:

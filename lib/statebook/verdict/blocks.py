@@ -141,7 +141,7 @@ def _block(A: np.ndarray, index: np.ndarray, precision: float) -> Block:
         for k in np.flatnonzero(R.diagonal(-1)).tolist()[::-1]:
             a, b, c = R[k, k], R[k, k + 1], R[k + 1, k]
             omega = abs(b) ** 0.5 * abs(c) ** 0.5
-            G = np.array([[-1j * omega, c], [-c, 1j * omega]]) / np.hypot(omega, c)
+            G = np.array([[-1j * omega / c, 1], [-1, 1j * omega / c]]) / np.hypot(omega / c, 1)
             pair = slice(k, k + 2)
             T[pair, k:] = G @ T[pair, k:]
             T[: k + 2, pair] = T[: k + 2, pair] @ G.conj().T

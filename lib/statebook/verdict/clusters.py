@@ -223,16 +223,14 @@ def _judged(number: int, block: Block, group: Group, discrete: bool) -> Cluster:
         couplings = np.linalg.svd(T - on_boundary * np.eye(p), compute_uv=False)
         point, side, defective = on_boundary, 0, bool(couplings[0] > radius) and p > 1
         if defective:
-            clear = couplings[-1] <= radius and couplings[-2] > _CLEAR * radius
+            clear = bool(couplings[-1] <= radius and couplings[-2] > _CLEAR * radius)
         else:
             # A last digit of every entry moves it by no more than rounding of the matrix.
             moved = _moved(group, np.abs(block.matrix))
             clear = moved <= rounding(block.norm, len(block.T), 1.0)
     spread = radius if single else _reach(T, radius)
     share = np.abs((group.basis * group.dual.T).sum(axis=1))
-    return Cluster(
-        number, group.members, point, side, single, defective, bool(clear), spread, share
-    )
+    return Cluster(number, group.members, point, side, single, defective, clear, spread, share)
 
 
 def _is_single(N: np.ndarray, radius: float) -> bool:
@@ -311,6 +309,7 @@ def shared_jordan_points(
     return points
 
 
+@np.errstate(over="ignore", invalid="ignore")  # with a defective eigenvalue at the point: no matter
 def _coupling(A: np.ndarray, blocks: list[Block], group: list[Cluster]) -> float:
     """Largest entry of S, relative to the norm of A; 0 if all are rounding of their own terms."""
     blocks = list(blocks)

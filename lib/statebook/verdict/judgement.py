@@ -46,6 +46,7 @@ class Judgement:
     jordan: tuple[complex, ...] = ()
 
 
+@np.errstate(over="ignore")
 def judge(
     A: np.ndarray, discrete: bool, *, precision: float = EPS, check_distance: bool = True
 ) -> Judgement:

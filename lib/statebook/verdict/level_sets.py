@@ -40,7 +40,7 @@ def boundary_distance(A: np.ndarray, discrete: bool, enough: float = 0.0) -> flo
     Each level is below the one before, the more so the farther it is from the minimum; the
     search ends early at a value of at most `enough`.
     """
-    scale = 0.0 if discrete else float(np.linalg.norm(A))
+    scale = 0.0 if discrete else float(np.abs(A).max())
     # Powers of two: the units of time (or of the map) cancel without rounding.
     unit = float(np.exp2(np.round(np.log2(scale)))) if scale > 0 else 1.0
     A = A / unit

@@ -66,6 +66,8 @@ def eigenvalue_map(
         return _of_model(Followed(function, tuple(grids[0]), x0, u0, dt, t, trim), grids[0])
     if any(given is not None for given in (x0, u0, dt, t, trim)):
         raise TypeError('x0, u0, dt, t and trim belong to a model: map {"parameter": values}')
+    if not callable(function):
+        raise TypeError(f"function must be callable, got {type(function).__name__}")
     if not grids:
         raise ValueError("grids: at least one vector of parameter values is required, got none")
     vectors = [_validate.array(f"grid {k}", grid, (None,)) for k, grid in enumerate(grids)]
@@ -74,8 +76,7 @@ def eigenvalue_map(
     matrices = _validate.array("function's result", function(*parameters))
     if matrices.shape[:-2] != shape or matrices.shape[-1] != matrices.shape[-2]:
         raise ValueError(_wrong_shape(shape, matrices.shape))
-    axes = (*shape, matrices.shape[-1])
-    if len(set(axes)) < len(axes) and matrices.size:
+    if len({*shape, matrices.shape[-1]}) <= len(shape) and matrices.size:
         _require_order(function, vectors, matrices.shape[-1])
     return sort_eigenvalues(np.linalg.eigvals(matrices))
 

@@ -106,7 +106,7 @@ def critical_step(
         return float("inf")
     if tableau is None:
         return _of_partitioned(A, float(np.abs(judgement.eigenvalues).max()))
-    found = [_of_eigenvalue(value, tableau) for value in judgement.eigenvalues if value]
+    found = [_of_eigenvalue(value, tableau) for value in judgement.eigenvalues.tolist() if value]
     limit = min(limit for limit, _ in found)
     touched = {h for _, touches in found for h in touches if h < limit}
     unbounded = [h for h in touched if _grows(amplification_matrix(A, h, tableau))]

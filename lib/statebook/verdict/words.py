@@ -50,6 +50,5 @@ def sort_eigenvalues(eigenvalues: np.ndarray) -> np.ndarray:
 def sorting(eigenvalues: np.ndarray) -> np.ndarray:
     """Indices that sort eigenvalues along the last axis."""
     scale = np.abs(eigenvalues).max(axis=-1, keepdims=True, initial=0.0)
-    real = np.zeros(eigenvalues.shape)
-    np.divide(eigenvalues.real, scale, out=real, where=scale > 0)
+    real = eigenvalues.real / np.where(scale > 0, scale, 1.0)
     return np.lexsort((-eigenvalues.imag, -np.round(real, 9)), axis=-1)

@@ -6,7 +6,6 @@ import json
 import os
 import warnings
 from collections.abc import Container
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -129,8 +128,7 @@ def write(nb: Any, path: Path, stored: Any = None) -> bool:
     except OSError as error:
         raise NotebookError(f"cannot be written, and the old file is untouched: {error}") from error
     finally:  # also where Ctrl-C came between
-        with suppress(OSError):
-            beside.unlink(missing_ok=True)
+        beside.unlink(missing_ok=True)
     return True
 
 

@@ -53,7 +53,7 @@ def summarize(
     window : float > 0
         How much of the range is in view.
     beside : float >= 0
-        The largest value beside these: what is rounding of it counts as zero.
+        The largest value beside these: what is rounding of it counts as zero, and as no range.
     scale : float > 0
         What a tolerance refers to, in place of the values' range.
     whole : int
@@ -93,6 +93,8 @@ def summarize(
     low, high = (float(inside.min()), float(inside.max())) if inside.size else (0.0, 0.0)
     if window < high - low:
         prefix += f"~{window:.3g} "
+    if not (log or scale) and 0.0 < high - low < _RESIDUE * beside:  # flat, but for rounding
+        prefix = f"={_RESIDUE * beside / _WRITTEN:.3g} "
     # A small signal on a large offset needs more digits.
     spread = min(high - low, window) or 1.0
     ratio = max(abs(low), abs(high)) / spread
