@@ -307,7 +307,7 @@ def test_modes_that_no_input_moves_are_named():
     stuck = control.ss(np.diag([-1.0, 0.5, -2]), [[1.0], [0], [1]], np.eye(3), 0)
     with pytest.raises(ValueError, match=r"no gain stabilizes .* moves its mode 0\.5"):
         sb.LQR(stuck, [0, 0, 0])
-    with pytest.raises(ValueError, match="no input moves its mode 0$"):
+    with pytest.raises(ValueError, match=r"no input moves its mode 0$"):
         sb.LQR(control.ss([[0.0]], [[0.0]], 1, 0), [0])
     decaying = control.ss(np.diag([-1.0, -1e-7, -2]), [[1.0], [0], [1]], np.eye(3), 0)
     assert not sb.LQR(decaying, [0, 0, 0], Q=[1, 0, 1]).K[0, 1]
