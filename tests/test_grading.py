@@ -610,6 +610,14 @@ def test_a_mark_without_its_partner_is_refused():
         without_solutions({"cells": [cell("### BEGIN SOLUTION\nx = 1")]})
 
 
+def test_a_hand_out_of_exercises_alone_keeps_their_folder(tmp_path):
+    kept = tmp_path / "workbook" / "exercises" / SOLVED[0].name
+    kept.parent.mkdir(parents=True)
+    kept.write_bytes(SOLVED[0].read_bytes())
+    (written,) = hand_out(tmp_path / "workbook", tmp_path / "a" / "course")
+    assert written == tmp_path / "a" / "course" / "exercises" / SOLVED[0].name and written.is_file()
+
+
 def test_hand_out_holds_no_solution(tmp_path):
     written = hand_out(WORKBOOK, tmp_path / "course")
     exercises = [path for path in written if path.parent.name == "exercises"]
