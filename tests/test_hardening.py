@@ -17,6 +17,11 @@ POSIX = {
     *("os.mkfifo os.nice os.wait os.waitpid os.uname os.getloadavg os.sched_getaffinity".split()),
     *("signal.SIGALRM signal.alarm signal.setitimer signal.SIGKILL signal.SIGHUP".split()),
     *("signal.pause os.sync os.chown os.register_at_fork time.tzset".split()),
+    *("signal.SIGUSR1 signal.SIGUSR2 signal.SIGCHLD signal.SIGQUIT signal.SIGTSTP".split()),
+    *("signal.SIGSTOP signal.SIGCONT signal.sigwait signal.pthread_kill select.poll".split()),
+    *("select.epoll select.kqueue os.getpgrp os.setpgid os.getgid os.setuid os.setgid".split()),
+    *("os.getgroups os.statvfs os.mknod os.openpty os.chroot os.pread os.sendfile".split()),
+    *("os.posix_spawn os.wait3 os.wait4 os.WNOHANG os.lockf os.getpriority os.fchown".split()),
     *("fcntl grp pwd resource termios pty tty posix syslog".split()),
 }
 UNSAFE = {
@@ -90,6 +95,7 @@ def allow_pickle(source: str) -> list[str]:
         ("import os\nhasattr(os, 'geteuid') and os.geteuid() == 0", []),
         ("import os\nos.replace(1, 2)", []),
         ("import time\ntime.time()", ["2: time.time"]),
+        ("from signal import SIGUSR1, raise_signal", ["1: signal.SIGUSR1"]),
     ],
 )
 def test_the_search_sees_calls_and_guards(source, found):
