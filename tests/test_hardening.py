@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -131,3 +132,14 @@ def test_imports_warn_of_nothing(code):
     command = [sys.executable, "-W", "error", *ours, "-c", code]
     result = subprocess.run(command, capture_output=True, text=True)
     assert result.returncode == 0 and result.stderr == "", result.stderr
+
+
+def test_licences_are_listed_of_all_that_we_name():
+    """What those bring in turn is listed too, by tests/licences.py; here are our own names."""
+    listed = (ROOT / "DEPENDENCIES.md").read_text(encoding="utf-8")
+    rows = dict(re.findall(r"^\| ([\w.-]+) \| ([^|]+) \|", listed, re.MULTILINE))
+    projects = [ROOT / "pyproject.toml", ROOT / "lib" / "nbregress" / "pyproject.toml"]
+    text = "\n".join(path.read_text(encoding="utf-8") for path in projects)
+    named = {n.lower() for n in re.findall(r'"([A-Za-z][\w.-]*)>=[\d.]+"', text)}
+    assert len(named) > 40 and named - rows.keys() == set()
+    assert [name for name, licence in rows.items() if licence == "?" or "(not" in licence] == []
