@@ -327,7 +327,8 @@ def test(arguments):
 
 def matrix(arguments):
     """Test the chapters on every Python that is here, in environments below _build."""
-    return subprocess.call([sys.executable, str(ROOT / "tests" / "matrix.py"), *arguments])
+    with one_at_a_time("matrix"):
+        return subprocess.call([sys.executable, str(ROOT / "tests" / "matrix.py"), *arguments])
 
 
 def lab(arguments):

@@ -417,7 +417,12 @@ def test_students_takes_one_folder(run, monkeypatch, tmp_path):
 
 
 def test_matrix_needs_no_venv_and_gets_its_arguments(run, monkeypatch):
-    monkeypatch.setattr(run.subprocess, "call", lambda command: command)
+    def call(command):
+        with pytest.raises(SystemExit, match=r"another run\.py is busy with this \(matrix\)"):
+            run.main(["test", "--matrix"])
+        return command
+
+    monkeypatch.setattr(run.subprocess, "call", call)
     command = run.main(["test", "--matrix", "3.12-*"])
     assert command == [sys.executable, str(run.ROOT / "tests" / "matrix.py"), "3.12-*"]
     assert run.calls == []
