@@ -300,7 +300,10 @@ class Bench:
         for name, arguments in groups.items():
             found = self._recorded(name, arguments)
             if found["failed"]:
-                print(f"left out, as they fail or are skipped without a mutant: {found['failed']}", flush=True)
+                print(
+                    f"left out, as they fail or are skipped without a mutant: {found['failed']}",
+                    flush=True,
+                )
             seconds.update(found["seconds"])
             for file, table in found["lines"].items():
                 for line, who in table.items():
