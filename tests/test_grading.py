@@ -10,6 +10,7 @@ import time
 from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,8 +21,8 @@ from statebook.grading import sandbox
 from statebook.grading.exercise import LEVELS, Exercise, Slip
 from statebook.grading.grade import compare
 from statebook.grading.students import hand_out, main, without_solutions
-from statebook_exercises import ch08, ch09
-from statebook_exercises.answers import beyond
+from statebook_exercises import ch08, ch09, ch92
+from statebook_exercises.answers import Watched, beyond
 
 WORKBOOK = Path(__file__).parents[1] / "workbook"
 SOLVED = sorted((WORKBOOK / "exercises").glob("*.ipynb"))
@@ -608,6 +609,22 @@ def test_solutions_go_with_all_that_belongs_to_them():
 def test_a_mark_without_its_partner_is_refused():
     with pytest.raises(ValueError, match="must have pairs"):
         without_solutions({"cells": [cell("### BEGIN SOLUTION\nx = 1")]})
+
+
+def test_a_policy_under_limits_returns_one_number_for_each():
+    law = Watched(lambda x, t: (3 * x[0], t), [1.0, 2.0])
+    np.testing.assert_array_equal(law(np.array([0.5]), -1.0), [1.0, -1.0])
+    np.testing.assert_array_equal(law.asked, [1.5, 1.0])
+    for answer, words in ((0.5, r"2 finite numbers, got \[0.5\]"), ((1.0, np.inf), "2 finite")):
+        with pytest.raises(ValueError, match=words):
+            Watched(lambda x, t, answer=answer: answer, [1.0, 2.0])(np.zeros(1), 0.0)
+
+
+def test_a_car_is_parked_from_the_first_sample_of_its_rest_on():
+    times = np.linspace(0.0, 4.0, 41)
+    x = np.minimum(times - 2.0, 0.0)
+    run = SimpleNamespace(times=times, states=np.stack([x, 0 * x, 0 * x]))
+    assert ch92._parked(run) == pytest.approx(2.0)
 
 
 def test_a_hand_out_of_exercises_alone_keeps_their_folder(tmp_path):

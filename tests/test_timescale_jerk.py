@@ -12,6 +12,7 @@ from scipy.interpolate import CubicHermiteSpline, PPoly
 
 import statebook as sb
 from statebook.timescale import jerk_search
+from statebook.timescale.jerk_program import Motion
 
 pytest.importorskip("toppra")
 pytest.importorskip("clarabel")
@@ -302,3 +303,14 @@ def test_page_on_own_paths_shows_what_happens(
     mean = (rows[1:, 8:15] + rows[:-1, 8:15]) / 2
     assert step == pytest.approx(mean, abs=1e-4)
     assert (tmp_path / "motion.png").stat().st_size > 10_000
+
+
+def test_the_squared_speed_between_gridpoints_is_the_integral_of_its_rate():
+    r, u = np.array([0.0, 1.0, 3.0]), np.array([0.0, 1.0, -0.5])
+    x = np.concatenate([[0.5], 0.5 + np.cumsum((u[1:] + u[:-1]) * np.diff(r))])
+    at = np.linspace(0.0, 3.0, 13)
+    # x' = 2 u, and u is linear in r between gridpoints.
+    expected = [
+        0.5 + 2 * np.trapezoid(np.interp(s := np.linspace(0, e, 6001), r, u), s) for e in at
+    ]
+    np.testing.assert_allclose(Motion(r, x, u).at(at), expected, atol=1e-6)

@@ -451,3 +451,16 @@ def test_infinity_for_one_joint_is_no_arithmetic_with_it() -> None:
     timed = sb.time_scale(path, velocity=[np.inf, 1], acceleration=free)
     large = sb.time_scale(path, velocity=[1e12, 1], acceleration=[1e12, 2])
     assert timed.duration == pytest.approx(large.duration, rel=1e-3)
+
+
+def test_bounds_for_another_number_of_waypoints_are_refused():
+    path = sb.Path.through(np.array([[0.0, 1.0, 0.5, 2.0, 1.0], [0.0, 0.2, 0.1, 0.5, 1.0]]))
+    with pytest.raises(ValueError, match=r"velocity .*shape"):
+        sb.time_scale(path, np.ones((2, 3)), 1.0)
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
+def test_a_bound_of_zero_in_the_way_is_named_in_any_unit(unit):
+    path = sb.Path.through(unit * np.array([[0.0, 1.0, 2.0]]))
+    with pytest.raises(sb.InfeasiblePathError, match=r"velocity.* is 0, and near s = "):
+        sb.time_scale(path, unit * np.array([[-1.0, 0.0]]), unit)

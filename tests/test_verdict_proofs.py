@@ -13,7 +13,7 @@ import statebook as sb
 from constructed import construct
 from statebook.verdict import level_sets
 from statebook.verdict.blocks import decompose
-from statebook.verdict.clusters import _is_single, clusters, separated
+from statebook.verdict.clusters import _is_single, _reach, clusters, separated
 from statebook.verdict.exact import as_rational
 from statebook.verdict.level_sets import _stays_off, boundary_distance, is_near_boundary
 
@@ -445,3 +445,16 @@ def test_long_arithmetic_finds_roots_only_where_double_precision_leaves_a_doubt(
     halves = [[F(x, 12) for x in row] for row in [[6, 1, 0], [0, 4, 1], [0, 0, -3]]]
     assert sb.stability(halves, dt=True).spectral_margin == pytest.approx(0.5, rel=1e-12)
     assert sb.stability([[F(1, 2), 5], [0, F(-1, 2)]]).spectral_margin == pytest.approx(-0.5)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_beyond_its_reach_no_eigenvalue_is_moved_by_so_little(seed):
+    rng = np.random.default_rng(seed)
+    p, size = 4, 10.0 ** rng.uniform(-9, -3)
+    T = np.triu(rng.normal(size=(p, p)), 1) * 10.0 ** rng.uniform(-2, 2)
+    T = T + (0.3 - 0.2j) * np.eye(p)
+    for unit in (1e-6, 1.0, 1e6):
+        radius = _reach(unit * T, unit * size)
+        assert radius == pytest.approx(unit * _reach(T, size), rel=1e-12)
+        for z in unit * (0.3 - 0.2j) + 1.001 * radius * np.exp(2j * np.pi * np.arange(8) / 8):
+            assert np.linalg.svd(unit * T - z * np.eye(p), compute_uv=False)[-1] > unit * size
