@@ -57,8 +57,8 @@ START = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() 
 PROCESSES: Any = multiprocessing.get_context(START)
 # Tests of the project, its site and its commands rather than of the packages.
 NOT_UNIT = (
-    *("book", "browser", "build", "house", "interrupted", "lite", "matrix", "package", "run"),
-    "workbook",
+    *("book", "browser", "build", "house", "interrupted", "jupyterlab", "lite", "matrix"),
+    *("package", "run", "site", "speed_page", "workbook"),
 )
 # Makes coverage start in every process that a test starts, and name that test.
 STARTUP = "import coverage; coverage.process_startup()\n"
@@ -225,6 +225,7 @@ def run_here(copy: Path, log: Path, arguments: list[str], kept: Path | None, not
         os.dup2(file.fileno(), 2)
     paths = [str(copy / name) for name in PATHS]
     sys.path[:0] = paths
+    sys.dont_write_bytecode = False  # the tests are compiled once
     os.environ.update(REACHED_BY=notebook, OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
     os.environ["PYTHONPATH"] = os.pathsep.join(paths)
     measured = None
@@ -299,7 +300,10 @@ class Bench:
         for name, arguments in groups.items():
             found = self._recorded(name, arguments)
             if found["failed"]:
-                print(f"left out, as it fails without a mutant: {found['failed']}", flush=True)
+                print(
+                    f"left out, as they fail or are skipped without a mutant: {found['failed']}",
+                    flush=True,
+                )
             seconds.update(found["seconds"])
             for file, table in found["lines"].items():
                 for line, who in table.items():
@@ -344,7 +348,7 @@ class Bench:
         """Try a mutant on what reaches it, fastest first, as far as the budget of seconds goes."""
         table, seconds = found["lines"].get(mutant["file"], {}), found["seconds"]
         reaching = {name for line in mutant["span"] for name in table.get(str(line), [])}
-        if not mutant["span"]:
+        if not reaching:  # executed on import: all that use the file may see it
             reaching = {name for names in table.values() for name in names}
         tests, spent = [], 0.0
         for name in sorted(reaching, key=lambda name: (seconds[name], name)):

@@ -66,8 +66,9 @@ KNEES = """
 
 ```{image} _static/verdicts.png
 :alt: Processor time of a verdict (solid) and of numpy.linalg.eig (dashed) against the number of \
-states, on logarithmic axes, for seven kinds of matrices. Up to ten states a verdict is flat at \
-about half a millisecond; from thirty on it runs beside numpy's lines, two to ten times above.
+states, on logarithmic axes, for seven kinds of matrices. Up to ten states a verdict is flat, at \
+half a millisecond or three; from a hundred on it runs beside numpy's lines, two to thirteen \
+times above, thirty at a thousand.
 ```
 
 Drawn by `python benchmarks/verdicts.py cost --figure FILE`: random matrices, a chain of masses, and

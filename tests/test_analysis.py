@@ -190,6 +190,31 @@ def test_units_by_their_definitions():
     assert parsed("m") == (1.0, (1, 0, 0, 0, 0, 0)) and parsed("mm")[0] == 1e-3
 
 
+@pytest.mark.parametrize(
+    ("unit", "same", "factor"),
+    [
+        ("N", "kg m/s^2", 1),
+        ("Pa", "N/m^2", 1),
+        ("J", "N m", 1),
+        ("W", "J/s", 1),
+        ("C", "A s", 1),
+        ("V", "J/C", 1),
+        ("Hz", "1/s", 1),
+        ("rpm", "rad/s", np.pi / 30),
+        ("deg", "rad", np.pi / 180),
+        ("L", "m^3", 1e-3),
+        ("min", "s", 60),
+        ("h", "min", 60),
+        ("g", "kg", 1e-3),
+        ("degC", "K", 1),
+        ("kmol", "mol", 1e3),
+    ],
+)
+def test_units_are_those_of_the_international_system(unit, same, factor):
+    (size, dimension), (base, wanted) = parsed(unit), parsed(same)
+    assert dimension == wanted and size == pytest.approx(factor * base, rel=1e-14)
+
+
 # The command
 
 

@@ -307,6 +307,8 @@ def test_modes_that_no_input_moves_are_named():
     stuck = control.ss(np.diag([-1.0, 0.5, -2]), [[1.0], [0], [1]], np.eye(3), 0)
     with pytest.raises(ValueError, match=r"no gain stabilizes .* moves its mode 0\.5"):
         sb.LQR(stuck, [0, 0, 0])
+    with pytest.raises(ValueError, match=r"no input moves its mode 0$"):
+        sb.LQR(control.ss([[0.0]], [[0.0]], 1, 0), [0])
     decaying = control.ss(np.diag([-1.0, -1e-7, -2]), [[1.0], [0], [1]], np.eye(3), 0)
     assert not sb.LQR(decaying, [0, 0, 0], Q=[1, 0, 1]).K[0, 1]
 
@@ -665,3 +667,12 @@ def test_a_moving_reference_makes_the_loop_depend_on_the_time():
 def test_a_plant_that_depends_on_the_time_is_refused_in_words_that_help(law):
     with pytest.raises(ValueError, match=r"not depend on the time, but .* t0"):
         law(lambda x, u, t: [x[1], u[0] - t * x[0]])
+
+
+def test_a_turn_of_the_angle_alone_is_no_error():
+    law = sb.LQR(sb.CartPole(), [0, np.pi / 2, 0, 0], R=[1.0, 1.0], circle=["theta"])
+    assert law.wrapped == [1]
+    x = np.array([0.2, 1.4, -0.1, 0.3])
+    turn, way = 2 * np.pi * np.eye(4)[[1, 0]]
+    np.testing.assert_allclose(law(x + turn, 0.0), law(x, 0.0), rtol=1e-9)
+    np.testing.assert_allclose(law(x + way, 0.0), law(x, 0.0) - law.K @ way, rtol=1e-9)

@@ -7,6 +7,7 @@ import math
 import control
 import numpy as np
 import pytest
+import scipy.optimize
 
 import statebook as sb
 from statebook.invariants import invariants
@@ -296,6 +297,24 @@ def test_a_rotation_conserves_the_radius_alone(discrete, size):
     assert found.P.shape == (1, 2, 2)
     np.testing.assert_allclose(found.P[0] / found.P[0, 0, 0], np.eye(2), atol=1e-9)
     np.testing.assert_allclose(found.a, 0, atol=1e-9 * size)
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "guess"), [(10.0, 1.0, (7.0, 2.0)), (30.0, 1.0, (3.0, 5.0)), (3.0, 1.0, (1.0, 0.2))]
+)
+def test_the_nearest_on_an_ellipse(a, b, guess):
+    def ellipse(x):
+        return [(x[0] / a) ** 2 + (x[1] / b) ** 2 - 1, 0 * x[1]]
+
+    found = sb.find_equilibrium(ellipse, guess, scale={"x[0]": 1.0, "x[1]": 1.0})
+
+    # Lagrange: the nearest point is (a^2 p / (a^2 + l), b^2 q / (b^2 + l)).
+    def excess(multiplier):
+        return sum((s * g / (s * s + multiplier)) ** 2 for s, g in zip((a, b), guess, strict=True))
+
+    root = scipy.optimize.brentq(lambda m: excess(m) - 1, -b * b + 1e-9, 1e6, xtol=1e-14)
+    expected = [s * s * g / (s * s + root) for s, g in zip((a, b), guess, strict=True)]
+    np.testing.assert_allclose(found.x, expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(8))

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.linalg
 
 import statebook as sb
 from statebook.grading import sandbox
@@ -40,6 +41,13 @@ EXERCISES = all_exercises()
 
 # Wrong answers where many are right, with a word of the hint that fits.
 WRONG = {
+    "05.4": [(lambda p: lambda x, y, h: [x - h * (y + h * x), y + h * x], "where is w")],
+    "07.4": [
+        (
+            lambda p: lambda x: p.m * p.L * (p.L * x[1] ** 2 / 2 - 9.8 * np.cos(x[0])),
+            "height of the mass is L sin",
+        )
+    ],
     "07.5": [
         (lambda p: (0.9 * p.m * 9.8 * p.L, 1.0), "no more than m g L"),
         (lambda p: (6.0 * p.m * 9.8 * p.L, 1.0), "the motor's limit"),
@@ -79,7 +87,11 @@ WRONG = {
         (lambda p: ch09.parking(p) * [[-1, 1], [-1, 1], [-1, 1]], "touches a parked car"),
         (lambda p: [[40, 0], [-40, 0], [0, 0]], "60 m are allowed"),
     ],
+    "01.1": [(lambda p: 0.075 * p.t**2, "under the push of the figure")],
+    "03.2": [(lambda p: p.x0 * (1 - p.b) ** 2 + p.a * p.dt, "where is dt")],
+    "03.4": [(lambda p: lambda T, dt: T * (p.v0 - p.g * T / 2), "the exact parabola")],
     "10.1": [
+        (lambda p: (p.sigma, 2 * p.omega), "you count every zero"),
         (lambda p: (p.sigma, 2 * np.pi / p.omega), "is the period"),
         (lambda p: (p.sigma, p.omega / 2 / np.pi), "turns a second"),
         (lambda p: (p.sigma, p.omega / 2), "one period, not half"),
@@ -92,6 +104,24 @@ WRONG = {
         (lambda p: (p.m / p.h**2, 3 * p.m / p.h), "on this clock the motion grows"),
         (lambda p: (-1.0, 1.0), "on this clock the motion grows"),
         (lambda p: (1.5 * p.m / p.h**2, 1.5 * p.m / p.h), "the force reaches"),
+    ],
+    "11.3": [
+        (
+            lambda p: [
+                [np.cos(p.heading), 0],
+                [np.sin(p.heading), 0],
+                [np.tan(p.steer) / p.L, p.speed / p.L],
+            ],
+            "derivative of tan",
+        )
+    ],
+    "12.2": [(lambda p: np.cbrt(3 * p.d**2 / p.q), "a force is divided by the mass")],
+    "14.4": [(lambda p: lambda t, angle: np.diff(angle) / np.diff(t), "take the short way")],
+    "15.4": [
+        (
+            lambda p: lambda z, k, ds: z + 2 * ds * np.sqrt(p.grip**2 - k * z**2),
+            "square all of it",
+        )
     ],
 }
 
@@ -113,11 +143,188 @@ def test_exercise_is_told_right_from_wrong(task):
         assert re.search(hint, result.message), result
 
 
+def ball(p):
+    """Height by Euler's method: the velocity falls by g dt a step, and moves the ball before."""
+
+    def height(T, dt):
+        steps = round(T / dt)
+        return p.v0 * steps * dt - p.g * dt**2 * steps * (steps - 1) / 2
+
+    return height
+
+
+def tick(p, x):
+    """A cart after a period of a held force."""
+    force = -p.kp * x[0] - p.kd * x[1]
+    return x[0] + p.h * x[1] + p.h**2 * force / (2 * p.m), x[1] + p.h * force / p.m
+
+
+def beside(p):
+    """The plane that touches a pendulum's rate at the angle, at rest."""
+
+    def rate(x):
+        pull = np.cos(p.angle) - np.sin(p.angle) * (x[0] - p.angle)
+        return [x[1], -G / p.L * pull - p.b / (p.m * p.L**2) * x[1]]
+
+    return rate
+
+
+G = 9.8
+# What the exercises ask for, in closed form: the checkers' own solutions are compared with it.
+RIGHT = {
+    "01.1": lambda p: p.d * p.t**2 / 4,
+    "01.2": lambda p: [p.omega, (p.u / (p.m * p.L) - G * np.cos(p.theta)) / p.L],
+    "01.4": lambda p: lambda x, plan: p.m * plan[2] + np.dot([p.kp, p.kd], plan[:2] - x),
+    "02.2": lambda p: tick(p, (p.p, p.v)),
+    "02.3": lambda p: lambda y, u: [y[1], (u - p.k * y[0] ** 3 - p.b * y[1]) / p.m],
+    "02.4": lambda p: (
+        lambda k: functools.reduce(lambda x, _: tick(p, x), range(int(k)), (p.p, p.v))[0]
+    ),
+    "03.2": lambda p: p.x0 * (1 - p.b * p.dt) ** 2 + p.a * p.dt**2,
+    "03.3": lambda p: lambda t, dt: p.a**3 * dt**2 * t / 6,
+    "03.4": ball,
+    "03.7": lambda p: p.g * p.dt * p.T / 2,
+    "03.8": lambda p: p.b * p.s * p.T * p.dt / 2,
+    "04.2": lambda p: -np.arccos(p.u / (p.m * G * p.L)),
+    "04.6": lambda p: [[0, 1], [G / p.L * np.sin(p.theta), -p.b / (p.m * p.L**2)]],
+    "04.7": lambda p: -np.sqrt(2 * G / p.L * (p.theta - np.sin(p.theta))),
+    "05.1": lambda p: scipy.linalg.expm(np.array([[0, 1], [-p.k / p.m, -p.c / p.m]]) * p.t)[0, 0],
+    "05.2": lambda p: p.c / p.k,
+    "05.4": lambda p: lambda x, y, h: [(1 - (h * p.w) ** 2) * x - h * p.w * y, y + h * p.w * x],
+    "05.5": lambda p: p.r * np.array([np.cos(p.theta + p.t), np.sin(p.theta + p.t)]),
+    "06.1": lambda p: 2 * np.sqrt(p.m * p.d / p.limit),
+    "06.2": lambda p: p.p0 + p.m * p.v0**2 / (2 * p.u),
+    "06.3": lambda p: lambda t: 6 * p.m * p.d / p.T**2 * (1 - 2 * t / p.T),
+    "06.6": lambda p: lambda r, F: (r[0] - p.x) * F[1] - (r[1] - p.y) * F[0],
+    "06.7": lambda p: np.sqrt(np.pi * p.M * p.w**2 / (3 * p.F * p.handle)),
+    "07.2": lambda p: 2 * np.pi * np.sqrt(p.L / G),
+    "07.3": lambda p: (
+        lambda theta, omega, u: (u - p.b * omega) / (p.m * p.L**2) - G / p.L * np.cos(theta)
+    ),
+    "07.5": lambda p: [
+        2.6 * p.m * G * p.L,
+        2 * np.sqrt(1.6 * p.m**2 * G * p.L**3) - p.b,
+    ],  # critically damped
+    "07.4": lambda p: lambda x: p.m * (p.L * x[1]) ** 2 / 2 + p.m * G * p.L * np.sin(x[0]),
+    "08.2": lambda p: np.sqrt(2 * G / p.L * (1 + p.m_pole / p.m_cart)),
+    "08.4": lambda p: lambda theta, a: (a * np.sin(theta) - G * np.cos(theta)) / (p.share * p.L),
+    "09.1": lambda p: p.L / np.tan(np.radians(p.degrees)),
+    "09.2": lambda p: np.arctan(2 * p.L / p.width),
+    "10.2": lambda p: lambda t: scipy.linalg.expm(np.array([[0, 1], [0, -p.c / p.m]]) * t),
+    "10.3": lambda p: np.sqrt((p.k12 + p.k2) / p.m2),  # cart 2 absorbs
+    "11.2": lambda p: np.roots([p.m * p.L**2, p.b, -p.m * G * p.L * np.sin(p.angle)]).real.max(),
+    "11.3": lambda p: [
+        [np.cos(p.heading), 0],
+        [np.sin(p.heading), 0],
+        [np.tan(p.steer) / p.L, p.speed / p.L * (1 + np.tan(p.steer) ** 2)],
+    ],
+    "11.4": beside,
+    "12.1": lambda p: (p.sigma / p.b) ** 2,
+    "12.2": lambda p: np.cbrt(3 * (p.m * p.d) ** 2 / p.q),
+    "12.3": lambda p: lambda kp, kd: np.sqrt([p.q / (2 * kp * kd), p.q / (2 * p.m * kd)]),
+    "12.4": lambda p: lambda z, h: z * np.sqrt(p.q / h),
+    "13.1": lambda p: np.hypot(p.sigma, p.sigma) / p.h,
+    "13.2": lambda p: np.sqrt(p.nees / 2),
+    "13.3": lambda p: (
+        lambda x, P, z: [(x * p.sigma**2 + z * P) / (P + p.sigma**2), 1 / (1 / P + 1 / p.sigma**2)]
+    ),
+    "14.1": lambda p: np.log(p.error_coarse / p.error_fine) / np.log(p.coarse / p.fine),
+    "14.2": lambda p: np.sqrt(8 * p.error / 1000 / p.largest),
+    "14.3": lambda p: lambda times, values, t: np.interp(t, times, values),
+    "14.4": lambda p: lambda times, angles: np.diff(np.unwrap(angles)) / np.diff(times),
+    "15.2": lambda p: p.d / p.v_max + p.v_max / p.a_max,
+    "15.3": lambda p: (
+        lambda s, v, a: [-p.A * (np.cos(s) * v**2 + np.sin(s) * a), 2 * p.B * (v**2 + s * a)]
+    ),
+    "15.4": lambda p: lambda z, k, ds: z + 2 * ds * np.sqrt(p.grip**2 - (k * z) ** 2),
+    "16.1": lambda p: np.linalg.solve([[p.a1, p.b1], [p.a2, p.b2]], [1, -1]),
+    "16.3": lambda p: (
+        lambda s: p.m * p.L * np.array([2 * p.L * p.A * s, 2 * p.L * p.A, G * np.sin(p.A * s**2)])
+    ),
+    "17.1": lambda p: p.quickest / np.sqrt(1 - p.kept),
+    "17.2": lambda p: (
+        np.array([p.a * p.b * p.s, p.q * (p.r + p.b**2 * p.s) + p.a**2 * p.s * p.r])
+        / (p.r + p.b**2 * p.s)
+    ),
+    "17.3": lambda p: lambda a, jounce: (p.M + p.m) * a + p.M * p.rope / G * jounce,
+    "81.1": lambda p: (p.sigma / p.wanted) ** 2,
+    "81.2": lambda p: np.diag([p.sp**2, 0]) + p.sv**2 * np.outer([p.T, 1], [p.T, 1]),
+    "82.1": lambda p: [G + p.reach * p.rate**2, 2 * p.reach * p.rate],
+}
+
+
+@pytest.mark.parametrize("id", RIGHT)
+@pytest.mark.parametrize("student", ["Ada", "Bob"])
+def test_solutions_are_the_closed_forms(id, student):
+    task = next(task for task in EXERCISES if task.id == id)
+    p = task.parameters(student)
+    found, expected = task.solution(p), RIGHT[id](p)
+    if task.inputs is None:
+        np.testing.assert_allclose(found, expected, rtol=1e-6)
+        return
+    for arguments in task.inputs(p, task.rng(student)):
+        np.testing.assert_allclose(found(*arguments), expected(*arguments), rtol=1e-6, atol=1e-9)
+
+
+def test_a_force_gives_the_cart_its_acceleration():
+    task = next(task for task in EXERCISES if task.id == "08.3")
+    p = task.parameters("Ada")
+    model = sb.CartPole(m_cart=p.m_cart, m_pole=p.m_pole, L=p.L)
+    for theta, omega, a in task.inputs(p, task.rng("Ada")):
+        force = task.solution(p)(theta, omega, a)
+        rate = model.dynamics(np.array([0.0, theta, 0.0, omega]), np.array([force, 0.0]))
+        assert rate[2] == pytest.approx(a, rel=1e-9, abs=1e-9)
+
+
+def test_gains_through_a_lag_have_the_damping_that_is_asked_for():
+    task = next(task for task in EXERCISES if task.id == "11.5")
+    p = task.parameters("Ada")
+    kp, kd = task.solution(p)
+    inertia, weight = p.m * p.L**2, p.m * G * p.L
+    loop = [inertia * p.lag, inertia + p.b * p.lag, p.b - weight * p.lag + kd, kp - weight]
+    values = np.roots(loop)
+    assert (-values.real >= 0.6 * np.abs(values)).all() and (-1 / values.real <= p.tau).all()
+
+
+def test_one_round_is_enough_in_a_wide_room():
+    task = next(task for task in EXERCISES if task.id == "09.5")
+    p = task.parameters("Ada")
+    turn = np.tan(np.radians(p.degrees)) / p.L
+    p.room = 2.0
+    p.step = p.room * np.sin(turn * p.room)
+    assert not task.judge((p.room, 1), p)
+
+
+def test_the_hand_is_where_it_is_asked_to_be():
+    tasks = {task.id: task for task in EXERCISES}
+    p = tasks["93.2"].parameters("Ada")
+    for (s,) in tasks["93.2"].inputs(p, tasks["93.2"].rng("Ada")):
+        q1, q2 = tasks["93.2"].solution(p)(s)
+        hand = p.l1 * np.exp(1j * q1) + p.l2 * np.exp(1j * (q1 + q2))
+        assert q2 < 0
+        assert hand == pytest.approx(complex(p.xa, p.ya) * (1 - s) + complex(p.xb, p.yb) * s)
+    p = tasks["16.6"].parameters("Ada")
+    q1, q2 = tasks["16.6"].solution(p)
+    assert 0.6 * np.exp(1j * q1) + 0.5 * np.exp(1j * (q1 + q2)) == pytest.approx(complex(p.x, p.y))
+    assert np.sign(q2) == p.side
+
+
 @pytest.mark.parametrize("task", EXERCISES, ids=lambda task: task.id)
 def test_two_students_have_two_pendulums(task):
     ada, bob = (vars(task.parameters(name)) for name in ("Ada", "Bob"))
     assert ada.keys() == bob.keys() and ada != bob
     assert vars(task.parameters(" ada ")) == ada
+
+
+def test_notebooks_announce_the_exercises_as_they_are():
+    announced = {}
+    for path in SOLVED:
+        for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
+            heading = re.match(r"## (\d+)\. (.*) \((.*), (\d+) minutes\)", "".join(cell["source"]))
+            if heading:
+                number, *rest = heading.groups()
+                announced[f"{path.stem[:2]}.{number}"] = [text.replace("$", "") for text in rest]
+    assert announced == {task.id: [task.title, task.level, str(task.minutes)] for task in EXERCISES}
 
 
 def test_ids_are_unique_and_named_after_their_chapter():
@@ -401,6 +608,14 @@ def test_solutions_go_with_all_that_belongs_to_them():
 def test_a_mark_without_its_partner_is_refused():
     with pytest.raises(ValueError, match="must have pairs"):
         without_solutions({"cells": [cell("### BEGIN SOLUTION\nx = 1")]})
+
+
+def test_a_hand_out_of_exercises_alone_keeps_their_folder(tmp_path):
+    kept = tmp_path / "workbook" / "exercises" / SOLVED[0].name
+    kept.parent.mkdir(parents=True)
+    kept.write_bytes(SOLVED[0].read_bytes())
+    (written,) = hand_out(tmp_path / "workbook", tmp_path / "a" / "course")
+    assert written == tmp_path / "a" / "course" / "exercises" / SOLVED[0].name and written.is_file()
 
 
 def test_hand_out_holds_no_solution(tmp_path):

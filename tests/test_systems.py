@@ -186,6 +186,12 @@ def test_what_vanishes_at_the_point_depends_on_time_all_the_same(f):
         sb.jacobians(f, [0.0], [0.0])
 
 
+@pytest.mark.parametrize("x0", [1.0, -1.0, 2.5])
+def test_time_is_seen_where_what_it_multiplies_vanishes(x0):
+    with pytest.raises(ValueError, match="t is required: function depends on the time"):
+        sb.jacobians(lambda x, u, t: [t * (x[0] - x0)], [x0], [])
+
+
 def test_a_time_that_does_not_matter_is_not_asked_for():
     A, B = sb.jacobians(lambda x, u, t: [x[1], u[0] - x[0]], [0, 0], [0])
     assert A.tolist() == [[0, 1], [-1, 0]] and B.tolist() == [[0], [1]]

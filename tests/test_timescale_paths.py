@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.interpolate import CubicHermiteSpline, PPoly, make_interp_spline
+from scipy.interpolate import CubicHermiteSpline, CubicSpline, PPoly, make_interp_spline
 
 import statebook as sb
 
@@ -191,3 +191,13 @@ def test_jerk_beside_bounds_of_which_one_is_far_smaller(smaller: float) -> None:
     timed = sb.time_scale(path, 5.0, acceleration, jerk=20.0, tolerance=0.1)
     use = sampled_use(timed, acceleration=lambda s: np.array(acceleration))
     assert 0.99 < use <= 1 + 1e-9
+
+
+def test_a_piece_that_stands_still_takes_no_time_and_is_no_corner():
+    ends = [(1, np.zeros(2)), (2, np.zeros(2))]
+    points = np.array([[0.0, 1.0, 1.5, 1.2], [0.0, 0.5, 1.5, 2.2]]).T
+    spline = CubicSpline(np.arange(4.0), points, bc_type=ends)
+    still = np.concatenate([np.zeros((4, 1, 2)), spline.c], axis=1)
+    alone = sb.time_scale(sb.Path(PPoly(spline.c, spline.x)), 1.0, 1.0)
+    after = sb.time_scale(sb.Path(PPoly(still, np.append(-1.0, spline.x))), 1.0, 1.0)
+    assert after.duration == pytest.approx(alone.duration, rel=1e-9)

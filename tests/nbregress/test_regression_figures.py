@@ -1,6 +1,8 @@
 """Figures: compared by their data, not by their picture."""
 
+import base64
 import copy
+import io
 import json
 
 import matplotlib
@@ -8,12 +10,15 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyArrowPatch
+from PIL import Image
 
 from nbregress.comparison import Comparison
 from nbregress.figures import digest
+from nbregress.pictures import pictures_difference
 from nbregress.settings import Settings
 from nbregress.summary import difference, summarize
 from nbregress.trees import figures_differences
+from nbregress.values import array_digest, data_bundle
 
 T = np.linspace(0.0, 10.0, 1000)
 SINE, COSINE, ROOT = np.sin(T), np.cos(T), np.sqrt(T)
@@ -292,3 +297,74 @@ def test_the_digest_does_not_depend_on_having_been_drawn(tmp_path):
 
 def test_a_typical_digest_is_small(base):
     assert len(json.dumps(base)) < 8000, matplotlib.__version__
+
+
+def test_the_same_numbers_written_in_another_way_do_not_differ():
+    assert difference("0 0", "0.0 -0", rtol=1e-5, atol=0.0) is None
+    assert difference("0 0", "0 1e-300", rtol=1e-5, atol=0.0)
+
+
+def test_the_narrower_of_two_views_decides():
+    near, far = "~0.5 0 10.0055", "~0.6 0 10"
+    for stored, new in ((near, far), (far, near)):
+        assert difference(stored, new, rtol=1e-2, atol=0.0)
+        assert difference(stored, new, rtol=1.2e-2, atol=0.0) is None
+
+
+def test_a_hundred_complex_numbers_are_written_out():
+    values = np.exp(1j * np.arange(100.0))
+    (text,) = array_digest(values)["data"].values()
+    parts = np.array(text.split(), dtype=float)
+    np.testing.assert_allclose(parts[::2] + 1j * parts[1::2], values, atol=1e-7)
+    (text,) = array_digest(np.append(values, 1.0))["data"].values()
+    assert text.startswith("202 | ")
+
+
+class Labels(list):
+    """What a data frame and pandas' index are to a digest, where pandas is not installed."""
+
+    dtype, name = np.dtype(object), None
+    names = property(lambda self: [self.name])
+
+
+def series(values):
+    def to_frame(self):
+        return frame([values])
+
+    members = {"__module__": "pandas", "ndim": 1, "iloc": None, "to_frame": to_frame}
+    return type("Series", (), members)()
+
+
+def frame(columns):
+    array = np.stack(columns, axis=1)
+    members = {"__module__": "pandas", "ndim": 2, "iloc": array, "shape": array.shape}
+    labels = {"index": Labels(range(len(array))), "columns": Labels(range(array.shape[1]))}
+    return type("DataFrame", (), {**members, **labels})()
+
+
+def test_every_column_of_a_data_frame_is_kept():
+    rows = np.arange(5.0), np.arange(5.0) ** 2, -np.arange(5.0)
+    (digest,) = data_bundle(frame(rows)).values()
+    assert digest["type"] == "DataFrame" and digest["names"] == ["0", "1", "2"]
+    assert digest["columns"] == [array_digest(row) for row in rows]
+    (digest,) = data_bundle(series(rows[1])).values()
+    assert digest["type"] == "Series" and digest["columns"] == [array_digest(rows[1])]
+
+
+def png(pixels):
+    file = io.BytesIO()
+    Image.fromarray(pixels.astype(np.uint8)).save(file, format="png")
+    return base64.b64encode(file.getvalue()).decode()
+
+
+@pytest.mark.parametrize(
+    ("share", "levels", "seen"),
+    [(1.0, 1, True), (0.1, 1, False), (0.1, 20, True), (0.001, 30, True), (0.0002, 200, False)],
+)
+def test_how_much_a_picture_may_change(share, levels, seen):
+    """Half a level on the average, and one pixel in 2000 by more than 24 of 255."""
+    picture = np.full((100, 100, 3), 40)
+    changed = picture.reshape(-1, 3).copy()
+    changed[: round(share * len(changed))] += levels
+    message = pictures_difference(png(picture), png(changed.reshape(picture.shape)))
+    assert bool(message) == seen
