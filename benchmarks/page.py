@@ -76,8 +76,9 @@ five kinds with eigenvectors that are all but parallel, rotated.
 
 - A batch costs what one run does up to about a hundred columns: a step is then the price of calling
   NumPy. From a thousand on the numbers themselves are the cost, and it grows with their count.
-- Simulating a chain costs the same from 2 states to 200, for the same reason. Linearizing one is
-  an array of n columns and n derivatives, flat up to some sixty states and steep beyond.
+- Simulating a chain costs the same from 2 states to 200, for the same reason; from 600 on its own
+  product of matrices is the cost. Linearizing one is an array of n columns and n derivatives, flat
+  up to some sixty states and beyond as steep as the model: a dense one costs n cubed.
 - A verdict is Python's share alone up to some ten states. Beyond, it is products and solutions of
   matrices, whose cost grows with the cube of their size.
 - A spline is timed in proportion to its waypoints until the grid is as fine as it gets, at about

@@ -290,8 +290,13 @@ def test_failing_notebook_is_named_and_the_old_site_stays(run, monkeypatch):
     assert (run.BUILD / "html").exists()
 
 
-def test_full_disk_is_one_sentence(run, monkeypatch):
-    log = "Traceback ...\nOSError: [Errno 28] No space left on device"
+@pytest.mark.parametrize(
+    ("log", "free"),
+    [("Traceback ...\nOSError: [Errno 28] No space left on device", 10**9), ("Traceback ...", 0)],
+)
+def test_full_disk_is_one_sentence(run, monkeypatch, log, free):
+    """The log itself may have ended before the reason, as it is on that disk."""
+    monkeypatch.setattr(run.shutil, "disk_usage", lambda path: SimpleNamespace(free=free))
     monkeypatch.setattr(run, "watch", lambda *_: (1, log))
     with pytest.raises(SystemExit) as stop:
         run.book([])
