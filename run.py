@@ -299,7 +299,9 @@ def book(arguments):
     if code:
         lines = log.strip().splitlines()
         failed = [line for line in lines if "FAILED" in line]
-        full = [sentence for pattern, sentence in PIP_TROUBLES[:1] if re.search(pattern, log)]
+        pattern, sentence = PIP_TROUBLES[0]
+        room = shutil.disk_usage(str(BUILD)).free  # on a full disk the log ends before its reason
+        full = [sentence] if re.search(pattern, log) or room < 1e6 else []
         fail("no new site was built, the old one stays\n" + "\n".join(full or failed or lines[-9:]))
     print("open " + (BUILD / "html" / "index.html").as_uri())
     if "--pdf" in arguments:
@@ -327,7 +329,8 @@ def test(arguments):
 
 def matrix(arguments):
     """Test the chapters on every Python that is here, in environments below _build."""
-    return subprocess.call([sys.executable, str(ROOT / "tests" / "matrix.py"), *arguments])
+    with one_at_a_time("matrix"):
+        return subprocess.call([sys.executable, str(ROOT / "tests" / "matrix.py"), *arguments])
 
 
 def lab(arguments):

@@ -66,8 +66,9 @@ KNEES = """
 
 ```{image} _static/verdicts.png
 :alt: Processor time of a verdict (solid) and of numpy.linalg.eig (dashed) against the number of \
-states, on logarithmic axes, for seven kinds of matrices. Up to ten states a verdict is flat at \
-about half a millisecond; from thirty on it runs beside numpy's lines, two to ten times above.
+states, on logarithmic axes, for seven kinds of matrices. Up to ten states a verdict is flat, at \
+half a millisecond or three; from a hundred on it runs beside numpy's lines, two to thirteen \
+times above, thirty at a thousand.
 ```
 
 Drawn by `python benchmarks/verdicts.py cost --figure FILE`: random matrices, a chain of masses, and
@@ -75,10 +76,14 @@ five kinds with eigenvectors that are all but parallel, rotated.
 
 - A batch costs what one run does up to about a hundred columns: a step is then the price of calling
   NumPy. From a thousand on the numbers themselves are the cost, and it grows with their count.
-- Simulating a chain costs the same from 2 states to 200, for the same reason. Linearizing one is
-  an array of n columns and n derivatives, flat up to some sixty states and steep beyond.
-- A spline is timed in proportion to its waypoints until the grid is as fine as it gets: beyond, the
-  gap grows instead of the time, and the result says so.
+- Simulating a chain costs the same from 2 states to 200, for the same reason; from 600 on its own
+  product of matrices is the cost. Linearizing one is an array of n columns and n derivatives, flat
+  up to some sixty states and beyond as steep as the model: a dense one costs n cubed.
+- A verdict is Python's share alone up to some ten states. Beyond, it is products and solutions of
+  matrices, whose cost grows with the cube of their size.
+- A spline is timed in proportion to its waypoints until the grid is as fine as it gets, at about
+  eighty: from there to a thousand the gap grows instead of the time, and the result says so. With
+  thousands of waypoints each has a few points of the grid, and time grows with their number again.
 - A notebook's first cost is its kernel, some seconds; a cell costs milliseconds.
 
 """

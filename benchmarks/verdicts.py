@@ -163,7 +163,7 @@ def draw(rows: list[tuple[str, int, float, float]], figure: str) -> None:
         ax.loglog(n, numpys, "--", color=line.get_color(), lw=0.9)
     ax.plot([], [], "k-", label="solid: statebook.stability")
     ax.plot([], [], "k--", label="dashed: numpy.linalg.eig")
-    ax.set(xlabel="number of states $n$", ylabel="time [s]")
+    ax.set(xlabel="number of states $n$", ylabel="processor time [s]")
     ax.grid(alpha=0.3)
     ax.legend(fontsize="small")
     fig.savefig(figure, dpi=110)

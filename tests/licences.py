@@ -26,12 +26,20 @@ def normal(name: str) -> str:
 
 
 def licence_of(name: str) -> str:
-    """Return the licence, as its expression, its classifiers or its field say."""
+    """Return the licence, as its expression, classifiers, field or file say."""
     meta = distribution(name).metadata
     said = meta.get("License-Expression")
     classes = [c.rpartition(" :: ")[2] for c in meta.get_all("Classifier") or () if "License" in c]
     lines = (meta.get("License") or "").strip().splitlines()
-    return said or "; ".join(c for c in classes if c != "OSI Approved") or (lines or ["?"])[0][:60]
+    texts = [
+        f for f in distribution(name).files or () if re.match("(?i)(licen[cs]e|copying)", f.name)
+    ]
+    lines = lines or [t for f in texts for t in f.read_text().split("\n") if t.strip(" =-")]
+    return (
+        said
+        or "; ".join(c for c in classes if c != "OSI Approved")
+        or (lines or ["?"])[0].strip()[:60]
+    )
 
 
 def requirements(name: str, extras: list[str]) -> list[tuple[str, list[str]]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -17,6 +18,11 @@ POSIX = {
     *("os.mkfifo os.nice os.wait os.waitpid os.uname os.getloadavg os.sched_getaffinity".split()),
     *("signal.SIGALRM signal.alarm signal.setitimer signal.SIGKILL signal.SIGHUP".split()),
     *("signal.pause os.sync os.chown os.register_at_fork time.tzset".split()),
+    *("signal.SIGUSR1 signal.SIGUSR2 signal.SIGCHLD signal.SIGQUIT signal.SIGTSTP".split()),
+    *("signal.SIGSTOP signal.SIGCONT signal.sigwait signal.pthread_kill select.poll".split()),
+    *("select.epoll select.kqueue os.getpgrp os.setpgid os.getgid os.setuid os.setgid".split()),
+    *("os.getgroups os.statvfs os.mknod os.openpty os.chroot os.pread os.sendfile".split()),
+    *("os.posix_spawn os.wait3 os.wait4 os.WNOHANG os.lockf os.getpriority os.fchown".split()),
     *("fcntl grp pwd resource termios pty tty posix syslog".split()),
 }
 UNSAFE = {
@@ -90,6 +96,7 @@ def allow_pickle(source: str) -> list[str]:
         ("import os\nhasattr(os, 'geteuid') and os.geteuid() == 0", []),
         ("import os\nos.replace(1, 2)", []),
         ("import time\ntime.time()", ["2: time.time"]),
+        ("from signal import SIGUSR1, raise_signal", ["1: signal.SIGUSR1"]),
     ],
 )
 def test_the_search_sees_calls_and_guards(source, found):
@@ -125,3 +132,14 @@ def test_imports_warn_of_nothing(code):
     command = [sys.executable, "-W", "error", *ours, "-c", code]
     result = subprocess.run(command, capture_output=True, text=True)
     assert result.returncode == 0 and result.stderr == "", result.stderr
+
+
+def test_licences_are_listed_of_all_that_we_name():
+    """What those bring in turn is listed too, by tests/licences.py; here are our own names."""
+    listed = (ROOT / "DEPENDENCIES.md").read_text(encoding="utf-8")
+    rows = dict(re.findall(r"^\| ([\w.-]+) \| ([^|]+) \|", listed, re.MULTILINE))
+    projects = [ROOT / "pyproject.toml", ROOT / "lib" / "nbregress" / "pyproject.toml"]
+    text = "\n".join(path.read_text(encoding="utf-8") for path in projects)
+    named = {n.lower() for n in re.findall(r'"([A-Za-z][\w.-]*)>=[\d.]+"', text)}
+    assert len(named) > 40 and named - rows.keys() == set()
+    assert [name for name, licence in rows.items() if licence == "?" or "(not" in licence] == []

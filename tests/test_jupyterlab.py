@@ -67,7 +67,10 @@ def test_a_chapter_runs_in_jupyterlab(browser, lab, name):
     for _ in range(600):
         page.wait_for_timeout(500)
         page.keyboard.press("Control+s")
-        cells = json.loads(saved.read_text(encoding="utf-8"))["cells"]
+        try:
+            cells = json.loads(saved.read_text(encoding="utf-8"))["cells"]
+        except ValueError:  # it is being written
+            continue
         code = [c for c in cells if c["cell_type"] == "code" and "".join(c["source"]).strip()]
         last = code[-1]
         if last["execution_count"] and last["execution_count"] >= len(code) and last["outputs"]:

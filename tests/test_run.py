@@ -290,8 +290,13 @@ def test_failing_notebook_is_named_and_the_old_site_stays(run, monkeypatch):
     assert (run.BUILD / "html").exists()
 
 
-def test_full_disk_is_one_sentence(run, monkeypatch):
-    log = "Traceback ...\nOSError: [Errno 28] No space left on device"
+@pytest.mark.parametrize(
+    ("log", "free"),
+    [("Traceback ...\nOSError: [Errno 28] No space left on device", 10**9), ("Traceback ...", 0)],
+)
+def test_full_disk_is_one_sentence(run, monkeypatch, log, free):
+    """The log itself may have ended before the reason, as it is on that disk."""
+    monkeypatch.setattr(run.shutil, "disk_usage", lambda path: SimpleNamespace(free=free))
     monkeypatch.setattr(run, "watch", lambda *_: (1, log))
     with pytest.raises(SystemExit) as stop:
         run.book([])
@@ -417,7 +422,12 @@ def test_students_takes_one_folder(run, monkeypatch, tmp_path):
 
 
 def test_matrix_needs_no_venv_and_gets_its_arguments(run, monkeypatch):
-    monkeypatch.setattr(run.subprocess, "call", lambda command: command)
+    def call(command):
+        with pytest.raises(SystemExit, match=r"another run\.py is busy with this \(matrix\)"):
+            run.main(["test", "--matrix"])
+        return command
+
+    monkeypatch.setattr(run.subprocess, "call", call)
     command = run.main(["test", "--matrix", "3.12-*"])
     assert command == [sys.executable, str(run.ROOT / "tests" / "matrix.py"), "3.12-*"]
     assert run.calls == []

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import functools
-import importlib
 import math
 import os
 import pickle
+import pkgutil
 import random
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 
@@ -84,7 +84,7 @@ class Inline(Executor):
         self.chunks = []
 
     def submit(self, function, *arguments):
-        if function is not importlib.import_module:
+        if function is not pkgutil.resolve_name:
             self.chunks.append(len(arguments[1]))
         future = Future()
         try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import functools
 import os
+import pickle
 import subprocess
 import sys
 import textwrap
@@ -122,15 +123,20 @@ class Elsewhere(Inline):
     """Workers that have statebook alone."""
 
     def submit(self, function, *arguments):
-        if arguments == (inverse.__module__,):
-            arguments = ("clusterable_of_nowhere",)
-        return super().submit(function, *arguments)
+        if arguments == (f"{inverse.__module__}:__name__",):
+            arguments = ("clusterable_of_nowhere:__name__",)
+        future = super().submit(function, *arguments)
+        if future.exception() is None:
+            pickle.dumps(future.result())
+        return future
 
 
 @pytest.mark.parametrize("function", [inverse, functools.partial(inverse)])
 def test_workers_that_cannot_import_the_function_are_named_at_once(function):
     pool = Elsewhere()
-    message = r"workers cannot import clusterable \(No module named .*: start them in its folder"
+    message = (
+        r"workers cannot import clusterable \(No module named .*: start them with the folder of"
+    )
     with pytest.raises(ImportError, match=message):
         sb.sweep(function, {"x": [1, 2]}, executor=pool, **QUIET)
     assert pool.chunks == []

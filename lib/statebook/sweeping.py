@@ -1,13 +1,13 @@
 """Evaluate a function over a grid of parameters, on one machine or many."""
 
 import hashlib
-import importlib
 import inspect
 import itertools
 import math
 import multiprocessing
 import os
 import pickle
+import pkgutil
 import random
 import signal
 import sys
@@ -295,10 +295,10 @@ def _require_import(executor: Any, *used: Any) -> None:
     """Have a worker import what its tasks name: one that cannot load a task may end in silence."""
     for name in {_module(value): None for value in used if _module(value)}:
         try:
-            executor.submit(importlib.import_module, name).result()
+            executor.submit(pkgutil.resolve_name, f"{name}:__name__").result()
         except Exception as error:
-            said = f"executor's workers cannot import {name} ({error}): start them in its folder"
-            raise ImportError(f"{said}, or name that in their PYTHONPATH") from error
+            said = f"executor's workers cannot import {name} ({error}): start them with the folder"
+            raise ImportError(f"{said} of that module in their PYTHONPATH") from error
 
 
 def _digests(function: Any, grid: dict[str, Any]) -> dict[str, str]:

@@ -82,13 +82,7 @@ def times_of(stretch: Stretch, motion: Motion) -> np.ndarray:
 
 
 def _rows(
-    task: Task,
-    grid: Grid,
-    x: np.ndarray,
-    u: np.ndarray,
-    z: float,
-    margin: np.ndarray,
-    given: Sequence[bool],
+    task: Task, grid: Grid, x: np.ndarray, u: np.ndarray, z: float, margin: Any, given: Any
 ) -> Iterator[tuple[Any, ...]]:
     """Yield rows of all limits at a fraction z of each interval, around a motion, and names.
 

@@ -40,12 +40,8 @@ def travel_time(h: np.ndarray, x0: np.ndarray, x1: np.ndarray, bulge: np.ndarray
     root = np.sqrt(np.abs(bulge)) / speeds
     upward = bulge > 0
     inverse = np.where(upward, np.arctanh(np.where(upward, root, 0.0)), np.arctan(root))
-    return 2 * h / speeds * _quotient(inverse, root)
-
-
-def _quotient(value: np.ndarray, argument: np.ndarray) -> np.ndarray:
-    """Return f(y) / y for functions with f'(0) = 1, which have no cancellation there."""
-    return np.divide(value, argument, out=np.ones_like(argument), where=argument > 0)
+    quotient = np.divide(inverse, root, out=np.ones_like(root), where=root > 0)
+    return np.asarray(2 * h / speeds * quotient)
 
 
 def _advance(lib: Any, x0: Any, u0: Any, rate: Any, t: Any) -> tuple[Any, Any, Any]:

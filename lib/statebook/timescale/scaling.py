@@ -258,10 +258,10 @@ def _check_place(grid: Grid, limits: Sequence[Limit], s: float, cause: str, spee
 def _within_limits(limits: Sequence[Limit], profile: Profile) -> Profile:
     """Audit the profile; slow it down by the rounding that is left, leave more room for torques."""
     loaded = any(isinstance(limit, TorqueLimit) for limit in limits)
-    for attempt in range(PASSES):
+    for attempt in range(PASSES + 1):
         uses = audit(profile, limits)
-        excess = uses.worst.use - 1
-        if excess <= MARGIN * loaded:
+        worst, excess = uses.worst, uses.worst.use - 1
+        if excess <= MARGIN * (loaded or attempt == PASSES):
             return profile
         if loaded:
             if attempt:  # polynomials miss the torques, or a tool, by more than was seen
@@ -271,14 +271,11 @@ def _within_limits(limits: Sequence[Limit], profile: Profile) -> Profile:
                     else one
                     for one in limits
                 ]
-            grid = profile.grid
-            profile = solve(limits, grid, profile.curvature, ceiling(limits, grid).x)
+            top = ceiling(limits, profile.grid).x
+            profile = solve(limits, profile.grid, profile.curvature, top)
         else:  # on very short intervals the rounding is another each time
             factor = max(use.factor for use in uses)
             profile = profile.slower(factor ** (1 + attempt) * (1 + _ROUNDING))
-    worst = audit(profile, limits).worst
-    if worst.use <= 1 + MARGIN:
-        return profile
     raise InfeasiblePathError(
         f"the {worst.limit} of row {worst.row} could not be kept within its limit at s = "
         f"{worst.s:.6g}: it jumps there, or changes too fast",

@@ -140,11 +140,10 @@ def fastest(limits: Sequence[Limit], grid: Grid, tolerance: float) -> tuple[Prof
     while True:
         top = ceiling(limits, grid)
         least = max(least, top.duration)
-        guide: Profile | None
+        guide: Profile | None = None
         try:
             guide = solve(limits, grid, curvature, top.x)
-            if best is None or guide.duration < best.duration:
-                best = guide
+            best = guide if best is None or guide.duration < best.duration else best
         except StuckError:
             guide = _without_start(limits, grid, curvature, top.x)
             tries += guide is not None
@@ -155,6 +154,7 @@ def fastest(limits: Sequence[Limit], grid: Grid, tolerance: float) -> tuple[Prof
                 solve(limits, fine, flat, top.x[:, parent], every_row=True)  # raises what is named
                 raise
         stuck = best is None and guide is None
+        narrow = best is None and not stuck and tries % 3 > 0
         if guide is None:
             x = np.maximum(top.x, 1e-300)
             sets = np.stack([0 * x.T, x.T])
@@ -162,7 +162,7 @@ def fastest(limits: Sequence[Limit], grid: Grid, tolerance: float) -> tuple[Prof
         work -= len(grid.h) * (_OVERHEAD + rows)
         if best is not None and least >= best.duration * (1 - tolerance):
             return best, least
-        grid, curvature = refine(limits, guide, top.times, stuck, best is None and tries % 3 > 0)
+        grid, curvature = refine(limits, guide, top.times, stuck, narrow)
         if best is not None and len(grid.h) * (_OVERHEAD + rows) > work:
             return best, least
 
@@ -174,9 +174,7 @@ def _without_start(
 
     If there is, the grid is too coarse for the speed that is given.
     """
-    free = [
-        part._replace(start=part.start and None, end=part.end and None) for part in grid.sections
-    ]
+    free = [p._replace(start=p.start and None, end=p.end and None) for p in grid.sections]
     try:
         found = solve(limits, replace(grid, sections=tuple(free)), curvature, top)
         return replace(found, grid=grid)

@@ -181,7 +181,9 @@ def _rows(function: Callable[..., Any], q: np.ndarray) -> tuple[int, float]:
     """Return the number of rows of the function's values, and their relative noise."""
     still = np.zeros_like(q[:, 0])
     args = q[:, 0], still, still
-    values = [np.array(function(*(a.copy() for a in args)), ndmin=1) for _ in range(_CALLS)]
+    values = [
+        np.array(function(*(a.copy() for a in args)), ndmin=int(len(q) == 1)) for _ in range(_CALLS)
+    ]
     value = values[0]
     if value.ndim != 1 or value.dtype.kind not in "iuf":
         raise ValueError(

@@ -25,6 +25,8 @@ _MAX_PIECES = 100_000
 _NEARLY_REAL = 1e-3
 # A spectral radius this near 1 at its peak touches the circle.
 _TOUCH = 1e-11
+# Modes this near, relatively, alias.
+_SAME = 1e-9
 
 Loop = Callable[[np.ndarray], np.ndarray]
 
@@ -157,7 +159,7 @@ def _first_crossing(A: np.ndarray, B: np.ndarray, K: np.ndarray, rate: float) ->
         for position, width in _candidates(coefficients):
             crossing = _examined(excess, start, length, position, width)
             if crossing is not None:
-                return crossing
+                return _at_alias(plant, crossing)
         end = start + length
         if excess(end) >= 0:
             return float(scipy.optimize.brentq(excess, start, end, xtol=1e-300, rtol=1e-14))
@@ -219,3 +221,18 @@ def _examined(
     if excess(peak) <= 0 or low >= peak or excess(low) >= 0:
         return float(peak)
     return float(scipy.optimize.brentq(excess, low, peak, xtol=1e-300, rtol=1e-14))
+
+
+def _at_alias(plant: np.ndarray, crossing: float) -> float:
+    """A touching at which two modes of the plant that do not decay alias, to the last digit.
+
+    There sampling loses controllability, and the circle is touched, maybe without a crossing.
+    """
+    scale = np.abs(plant).max(initial=0.0)
+    lasting = plant[plant.real >= -_SAME * scale]
+    difference = (lasting[:, None] - lasting)[np.triu_indices(len(lasting), 1)]
+    frequency = np.abs(difference.imag)[np.abs(difference.real) <= _SAME * scale]
+    periods = 2 * np.pi / frequency[frequency > _SAME * scale]
+    times = periods * np.maximum(np.round(crossing / periods), 1)
+    near = times[np.abs(times - crossing) <= 1e-7 * crossing]
+    return float(near.min()) if len(near) else crossing
