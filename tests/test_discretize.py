@@ -237,7 +237,7 @@ def test_sample_time_at_which_modes_alias():
 
     assert all(radius(h) < 1 for h in [*np.linspace(0.05, 3.1, 50), 3.18])
     assert radius(np.pi) == pytest.approx(1, abs=1e-12)
-    assert sb.critical_sample_time(A, B, K) == pytest.approx(np.pi, rel=1e-10)
+    assert sb.critical_sample_time(A, B, K) == pytest.approx(np.pi, rel=1e-14)
 
 
 @pytest.mark.parametrize("seed", range(3))
