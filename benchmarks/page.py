@@ -62,7 +62,7 @@ One size after the other, in the same run.
 """
 
 KNEES = """
-### A verdict on a matrix, by states
+### Verdicts on other kinds of matrices
 
 ```{image} _static/verdicts.png
 :alt: Processor time of a verdict (solid) and of numpy.linalg.eig (dashed) against the number of \
@@ -209,6 +209,7 @@ def main(path: str | None = None) -> None:
             title = group.removeprefix("growth: ")
             grown += f"\n### {title[:1].upper()}{title[1:]}\n\n{growth(list(rows))}\n"
         else:
+            group = " ".join(group.split())  # sizes are padded, so that they sort as numbers
             text += f"## {group[:1].upper()}{group[1:]}\n\n{table(list(rows))}\n\n"
     PAGE.write_text(text + grown + KNEES + END, encoding="utf-8")
 
