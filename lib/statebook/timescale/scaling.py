@@ -156,7 +156,7 @@ def time_scale(
     cuts += [limit.fitted.x for limit in limits if isinstance(limit, TorqueLimit)]
     if jerk is None:  # with it, a cut where nothing moves would be a rest
         speeds = [one for one in limits if isinstance(one, VelocityLimit)]
-        skew = [one for one in speeds if not np.array_equal(one.upper, -one.lower)]
+        skew = [one for one in speeds if not one.along and (one.upper != -one.lower).any()]
         cuts += [reversals(one.curve or path.curve) for one in skew]
     halts = path.waypoint_s[pauses > 0]
     dry = [one for one in limits if isinstance(one, TorqueLimit) and one.friction[0]]
