@@ -118,7 +118,7 @@ def test_viscous_friction(d: float) -> None:
 def test_an_arm_whose_joints_turn_back(friction: dict, seed: int) -> None:
     """Its own function confirms the torques, and full torque is used."""
     path = sb.Path.through(np.random.default_rng(seed).uniform(-2, 2, (2, 4)))
-    assert len(reversals(path.curve))
+    assert len(reversals(path))
     dynamics = arm_with(**friction)
     timed = sb.time_scale(path, torque=LOAD, inverse_dynamics=dynamics)
     assert largest_use(timed, dynamics, LOAD) <= 1 + 2e-6
@@ -226,4 +226,4 @@ def test_lines_beside_the_root() -> None:
 
 def test_places_where_joints_turn_back() -> None:
     path = sb.Path.through([[0.0, 1.0, 0.0], [0.0, 1.0, 2.0]])
-    assert reversals(path.curve) == pytest.approx([0.5])
+    assert reversals(path) == pytest.approx([0.5])

@@ -15,7 +15,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 import scipy
@@ -78,9 +77,9 @@ def friction_form(
     return bool(dry), bool(viscous)
 
 
-def reversals(curve: Any) -> np.ndarray:
-    """Return the places where a joint turns back: dry friction, or its speed limit, jumps there."""
-    roots = curve.derivative().roots(discontinuity=True, extrapolate=False)
+def reversals(path: Path) -> np.ndarray:
+    """Return the places where a joint turns back: dry friction jumps there."""
+    roots = path.curve.derivative().roots(discontinuity=True, extrapolate=False)
     return np.concatenate([r[np.isfinite(r)] for r in np.atleast_1d(roots)])
 
 

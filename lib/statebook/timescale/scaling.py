@@ -16,11 +16,11 @@ from statebook.errors import InfeasiblePathError
 from statebook.timescale.bounds import require_joints
 from statebook.timescale.ceiling import ceiling
 from statebook.timescale.ends import Pauses, read_dwell, speed_at_end, take
-from statebook.timescale.friction import at_rest, rests, reversals, settle
+from statebook.timescale.friction import at_rest, rests, settle
 from statebook.timescale.grid import Grid, lay_grid
 from statebook.timescale.jerk import read_jerk, stop_at_bends
 from statebook.timescale.jerk_search import limit_jerk
-from statebook.timescale.limits import Limit, TorqueLimit, VelocityLimit, blocked, kinematic_limits
+from statebook.timescale.limits import Limit, TorqueLimit, blocked, kinematic_limits
 from statebook.timescale.path import Path
 from statebook.timescale.profile import Profile, audit
 from statebook.timescale.rows import MARGIN
@@ -154,10 +154,6 @@ def time_scale(
         )
     cuts = [curve.x for limit in limits for curve in (limit.along, limit.curve) if curve]
     cuts += [limit.fitted.x for limit in limits if isinstance(limit, TorqueLimit)]
-    if jerk is None:  # with it, a cut where nothing moves would be a rest
-        speeds = [one for one in limits if isinstance(one, VelocityLimit)]
-        skew = [one for one in speeds if not one.along and (one.upper != -one.lower).any()]
-        cuts += [reversals(one.curve or path.curve) for one in skew]
     halts = path.waypoint_s[pauses > 0]
     dry = [one for one in limits if isinstance(one, TorqueLimit) and one.friction[0]]
     laid = partial(lay_grid, path, start_speed, end_speed, _COARSE, halts=halts)

@@ -81,7 +81,7 @@ def fitted_torques(limit: TorqueLimit, path: Path, tolerance: float) -> TorqueLi
     assert limit.dynamics is not None
     forms = _Forms(limit, path)
     knots, even = path.curve.x, np.linspace(path.s_start, path.s_end, _CELLS + 1)
-    turns = reversals(path.curve)  # friction jumps there, or bends
+    turns = reversals(path)  # friction jumps there, or bends
     cells = np.sort(np.concatenate([knots, apart(np.concatenate([even, turns]), knots)]))
     for _ in range(_ROUNDS):
         found = fit(forms, cells, _DEGREE, tolerance, (0,), stall=_NOISE, floor=1.0)
