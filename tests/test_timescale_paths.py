@@ -86,6 +86,15 @@ def test_a_smaller_tolerance_is_never_slower_and_the_gap_holds() -> None:
         assert one.duration * (1 - one.gap) <= durations[-1]
 
 
+@pytest.mark.parametrize("slope", [0.1, 0.03, 0.003])
+@pytest.mark.parametrize("tolerance", [0.1, 1e-3])
+def test_the_gap_is_honest_where_the_slope_of_a_joint_falls(slope: float, tolerance: float) -> None:
+    path = sb.Path(CubicHermiteSpline([0, 1], [[0.0], [3.0]], [[1.0], [slope]]))
+    timed = sb.time_scale(path, acceleration=1.0, tolerance=tolerance)
+    shortest = 2 * np.sqrt(3.0)  # whatever s is: half the way at full push, half at full brake
+    assert timed.duration * (1 - timed.gap) <= shortest * (1 + 1e-9) <= timed.duration * (1 + 2e-9)
+
+
 def test_a_buffer_single_precision_and_storage() -> None:
     buffer = np.zeros(1, dtype=np.float32)
 

@@ -13,7 +13,7 @@ every motion, and the time it takes below every time.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -90,11 +90,13 @@ def maximum_speeds(limits: Sequence[Limit], grid: Grid, s: np.ndarray) -> np.nda
 class Changes(NamedTuple):
     """Bounds at the nodes of the intervals: low <= m x - m0 x0 <= high, each (K, N, R).
 
-    x0 and m0 are those at the left end. Where m vanishes within, at a turn of the row, the parts
-    on both sides stand alone: low <= -m0 x0 to the left of it, m x <= high to the right.
+    m is the square of the pace of the row, in whose own coordinate, the integral of the pace, m x
+    is the square of the speed. x0 and m0 are those at the left end. Where the pace vanishes
+    within, at a turn of the row, the parts on both sides stand alone: low <= -m0 x0 to the left of
+    it, m x <= high to the right.
     """
 
-    m: np.ndarray
+    pace: np.ndarray  # a sqrt(E)
     low: np.ndarray
     high: np.ndarray
     turn: np.ndarray  # (N, R), bool
@@ -118,7 +120,7 @@ def _changes_and_caps(limits: Sequence[Limit], grid: Grid) -> tuple[Changes, np.
     every = Changes(*(np.concatenate(values, axis=-1) for values in zip(*changes, strict=True)))
     a, b, lower, upper = (np.concatenate(values, axis=2) for values in zip(*rows, strict=True))
     # The same for x at one end and at the other, in the place of x and u.
-    m0, m1 = every.m[0], every.m[-1]
+    m0, m1 = every.pace[[0, -1]] ** 2
     low = np.where(every.turn, -np.inf, every.low[-1])
     high = np.where(every.turn, np.inf, every.high[-1])
     ends = [(a, m1, -m0), (b, -m0, m1), (lower, low, low), (upper, high, high)]
@@ -141,8 +143,8 @@ def _changes(
     rate = np.where(usable, rate, 0.0)
     rest = np.abs(along(_TO_POWERS[-1:], rate)[0])
     usable &= rest <= _ROUGH
-    growth = np.exp(along(_AREAS, rate))
-    weight = 2 * h * a * growth
+    root = np.exp(along(_AREAS, rate / 2))
+    weight = 2 * h * a * root**2
     pushes = [
         weight * np.where(np.isfinite(v), v, 0.0)
         for v in (np.where(forward, lower, upper), np.where(forward, upper, lower))
@@ -164,9 +166,9 @@ def _changes(
         low[:, turn], high[:, turn] = _beside_turn(
             a[:, turn], lower[:, turn], upper[:, turn], np.broadcast_to(h, turn.shape)[turn]
         )
-    bound = np.maximum(np.abs(lower), np.abs(upper)) * np.sqrt(growth)
+    bound = np.maximum(np.abs(lower), np.abs(upper)) * root
     push = np.where(usable | turn, bound.max(axis=0), np.inf)
-    return Changes(a * a * growth, low, high, turn, push)
+    return Changes(a * root, low, high, turn, push)
 
 
 def _beside_turn(
@@ -233,7 +235,7 @@ def _highest_motion(
 ) -> tuple[np.ndarray, bool]:
     """Return the largest x at both ends of all intervals, (2, N), and whether there is any."""
     possible = True
-    ends = [(c.m[0], c.m[-1], c.low[-1], c.high[-1], c.turn) for c, _ in parts]
+    ends = [(*c.pace[[0, -1]] ** 2, c.low[-1], c.high[-1], c.turn) for c, _ in parts]
     m0, m1, low, high, turn = (np.concatenate(values) for values in zip(*ends, strict=True))
     gain, loss = (np.where((d > 0) & ~turn, n / d, 0.0) for n, d in ((m0, m1), (m1, m0)))
     more, less = (np.where(d > 0, n / d, np.inf) for n, d in ((high, m1), (-low, m0)))
@@ -245,14 +247,11 @@ def _highest_motion(
         top[-1] = top[-1] if end is None else end
         best = top.tolist()
         inside = slice(first, last)
-        for k, slope, offset in reversed(_lines_below(loss[inside], less[inside], top[:-1])):
-            bound = slope * best[k + 1] + offset
-            if bound < best[k]:
-                best[k] = bound
-        for k, slope, offset in _lines_below(gain[inside], more[inside], top[1:]):
-            bound = slope * best[k] + offset
-            if bound < best[k + 1]:
-                best[k + 1] = bound
+        back = reversed(_lines_below(loss[inside], less[inside], top[:-1]))
+        ahead = _lines_below(gain[inside], more[inside], top[1:])
+        for lines, to in ((back, 0), (ahead, 1)):
+            for k, slope, offset in lines:
+                best[k + to] = min(best[k + to], slope * best[k + 1 - to] + offset)
         x[:, first:last] = np.maximum([best[:-1], best[1:]], 0.0)
         possible &= min(best[1:-1], default=1.0) > 0
         possible &= best[0] >= (start or 0.0) * (1 - _SAME)
@@ -275,18 +274,18 @@ def _least_times(changes: Changes, cap: np.ndarray, x: np.ndarray, h: np.ndarray
     Between two nodes it is the larger of two times: that of the row alone that takes longest, and
     that under the lower of two bounds on x, the one active on the left and the one on the right.
     """
-    m, low, high, turn, push = changes
-    first, last = (np.where(turn, 0.0, m[i] * x[i][:, None]) for i in (0, -1))
+    pace, low, high, turn, push = changes
+    first, last = (np.where(turn, 0.0, pace[i] ** 2 * x[i][:, None]) for i in (0, -1))
     ahead, back = first + high, last - (low[-1] - low)
     back[-1, turn] = np.inf
     alone = _time_of_rows(ahead, push, 1), _time_of_rows(back, push, -1)
-    rows = [np.where(m > 0, way / m, np.inf) for way in (ahead, back)]
-    bounds = np.concatenate([*rows, cap[:, :, None]], axis=2)
     beyond = turn & ~np.isfinite(ahead[:-1]) & ~np.isfinite(back[1:])
     longest = np.where(beyond, alone[0] + alone[1], np.maximum(*alone)).max(axis=2)
+    square = np.maximum(np.concatenate([ahead, back, cap[:, :, None]], axis=2), 0.0)
+    pace = np.concatenate([pace, pace, np.ones_like(cap)[:, :, None]], axis=2)
     times = np.zeros(len(h))
     for k in range(_COUNT - 1):
-        times += np.maximum(_time_under(bounds, k) * h, longest[k])
+        times += np.maximum(_time_under(square, pace, k) * h, longest[k])
     return times
 
 
@@ -299,37 +298,51 @@ def _time_of_rows(square: np.ndarray, push: np.ndarray, sign: int) -> np.ndarray
     return np.maximum(sign * np.diff(root, axis=0), 0.0) / push
 
 
-def _time_under(bounds: np.ndarray, k: int) -> np.ndarray:
-    """Return the time from node k to the next under bounds on x (K, N, B), for h = 1.
+def _time_under(square: np.ndarray, pace: np.ndarray, k: int) -> np.ndarray:
+    """Return the time from node k to the next under bounds on x, for h = 1.
 
-    Of all bounds, those that are lowest at one of the two nodes count. Each is a quadratic at
-    most, bent as much as its values at neighbouring nodes tell.
+    square (K, N, B) bounds pace^2 x. Of all bounds, those that are lowest at one of the two nodes
+    count, up to where they meet. In its own coordinate each is a quadratic at most, bent as much
+    as its values at neighbouring nodes tell.
     """
+    bounds = np.where(pace != 0, square / pace**2, np.inf)
     known = np.isfinite(bounds)
-    near = slice(max(k - 1, 0), k + 3)
-    usable = known[k] & known[k + 1] & (known[near].sum(axis=0) > 2)
-    every = np.arange(bounds.shape[1])
+    usable = known[k] & known[k + 1] & (known[max(k - 1, 0) : k + 3].sum(axis=0) > 2)
     which = [np.where(usable, bounds[i], np.inf).argmin(axis=1) for i in (k, k + 1)]
-    some = usable.any(axis=1)
-    curves = [np.where(some, np.maximum(bounds[:, every, i], 0.0), 1.0) for i in which]
-    step = _NODES[k + 1] - _NODES[k]
-    left, right = (_bend(curve[near], _NODES[near]) * step**2 for curve in curves)
-    (l0, l1), (r0, r1) = (curve[k : k + 2] for curve in curves)
+    some, every = usable.any(axis=1), np.arange(len(usable))
+    (l0, l1), (r0, r1) = (bounds[k : k + 2, every, i] for i in which)
     ahead, behind = l1 - r1, r0 - l0
-    z = np.where(ahead + behind > 0, behind / (ahead + behind), 1.0)
-    z = np.where(which[0] == which[1], 1.0, np.clip(z, 0.0, 1.0))
-    peak = np.where(z < 1, l0 + z * (l1 - l0) - left * z * (1 - z), r1)
-    peak = np.maximum(peak, 1e-300)
-    time = travel_time(z * step, l0, peak, left * z**2)
-    time += travel_time((1 - z) * step, peak, r1, right * (1 - z) ** 2)
+    crossing = (ahead + behind > 0) & (which[0] != which[1])
+    z = np.where(crossing, np.clip(behind / (ahead + behind), 0.0, 1.0), 1.0)
+    time = np.zeros(len(some))
+    for i, part in zip(which, ((0.0, z), (z, 1.0)), strict=True):
+        time += _time_along(square[:, every, i], pace[:, every, i], k, *part)
     return np.where(some, time, 0.0)
 
 
-def _bend(curve: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-    """Return the second divided difference of curves (K, N), or a lower one, at most 0."""
-    lowest = np.zeros(curve.shape[1])
-    for i in range(len(nodes) - 2):
-        first, second = ((curve[j + 1] - curve[j]) / (nodes[j + 1] - nodes[j]) for j in (i, i + 1))
-        bend = (second - first) / (nodes[i + 2] - nodes[i])
-        lowest = np.minimum(lowest, np.where(np.isfinite(bend), bend, 0.0))
-    return _BEND * lowest
+def _time_along(square: np.ndarray, pace: np.ndarray, k: int, begin: Any, end: Any) -> np.ndarray:
+    """Return the time of rows (K, N) over a part of the way from node k to the next, for h = 1."""
+    way = along(_AREAS, pace)
+    whole = way[k + 1] - way[k]
+    bulge = _bend(square, way, k) * whole**2
+    gain = (pace[k + 1] - pace[k]) / (pace[k + 1] + pace[k])
+    z = [at * (1 + gain * (at - 1)) for at in (begin, end)]
+    x0, x1 = (square[k] * (1 - at) + square[k + 1] * at - bulge * at * (1 - at) for at in z)
+    part = z[1] - z[0]
+    x0, x1 = np.maximum(x0, 0.0), np.maximum(x1, 1e-300)
+    return np.where(part > 0, travel_time(part * np.abs(whole), x0, x1, bulge * part**2), 0.0)
+
+
+def _bend(curve: np.ndarray, way: np.ndarray, k: int) -> np.ndarray:
+    """Return half the lowest second derivative of curves (K, N) after node k, at most 0.
+
+    That of the cubic through four nodes, at both ends, or of a parabola where one is not known.
+    """
+    first = min(max(k - 1, 0), _COUNT - 4)
+    curve, at = (values[first : first + 4] for values in (curve, way))
+    bends = np.diff(np.diff(curve, axis=0) / np.diff(at, axis=0), axis=0) / (at[2:] - at[:-2])
+    known = np.isfinite(bends)
+    bends = np.where(known, bends, np.where(known.any(axis=0), bends[::-1], 0.0))
+    change = (bends[1] - bends[0]) / (at[3] - at[0])
+    ends = (bends[0] + change * (3 * way[i] - at[:3].sum(axis=0)) for i in (k, k + 1))
+    return _BEND * np.minimum(np.minimum(*ends), 0.0)

@@ -85,10 +85,7 @@ def _bottlenecks(profile: Profile) -> np.ndarray:
     """
     edge = profile.controllable[1] * (1 - 1e-6)
     leaves = (profile.x0 >= edge[:, 0]) & (profile.x1 < edge[:, 1])
-    beside = leaves.copy()
-    beside[1:] |= leaves[:-1]
-    beside[:-1] |= leaves[1:]
-    return beside
+    return np.convolve(leaves, [1, 1, 1])[1:-1] > 0
 
 
 def _slopes(profile: Profile) -> tuple[np.ndarray, np.ndarray]:
@@ -193,9 +190,8 @@ def solve(
     """Solve the stages, with a better scale or more room for rounding where it is needed."""
     narrowing, rescalings = NARROWING, 3
     smaller, scale = np.sort(top, axis=0)
-    scale = np.where(
-        scale > 0, np.where(smaller > 0, np.minimum(scale, _RANGE * smaller), scale), 1
-    )
+    near = np.where(smaller > 0, np.minimum(scale, _RANGE * smaller), scale)
+    scale = np.where(scale > 0, near, 1)
     top = np.full_like(top, 1e100) if every_row else np.minimum(top, FREE * scale)
     while True:
         stuck = None
