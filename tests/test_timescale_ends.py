@@ -308,3 +308,20 @@ def test_given_speeds_at_a_velocity_limit_with_limited_jerk() -> None:
     timed = sb.time_scale(path, 1, 2, jerk=10, start_speed=0.1, end_speed=0.1)
     assert timed.velocity([0.0, timed.duration])[1] == pytest.approx([1, 1], rel=1e-9)
     assert timed.audit().worst.use <= 1 + 1e-9
+
+
+@pytest.mark.parametrize(
+    "limits",
+    [
+        {"velocity": 1.0, "acceleration": 2.0, "speed": 1.5, "acceleration_norm": 3.0},
+        {"velocity": 1.0, "acceleration": 2.0, "jerk": 9.0},
+        {"torque": 2.0, "inverse_dynamics": lambda q, qd, qdd: qdd * 1.0},
+    ],
+    ids=lambda limits: list(limits)[-1],
+)
+def test_a_motion_half_as_fast_needs_half_the_slowing_down(limits: dict) -> None:
+    timed = sb.time_scale(sb.Path.through([[0.0, 1.0, 0.3], [0.0, 0.5, 2.0]]), **limits)
+    uses = list(zip(timed.audit(), timed.slower(2.0).audit(), strict=True))
+    assert len(uses) > 1
+    for full, half in uses:
+        assert half.factor == pytest.approx(full.factor / 2, rel=1e-6)

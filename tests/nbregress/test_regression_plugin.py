@@ -410,6 +410,12 @@ def printing(text, stored):
     return cell(f"print({text!r})", execution_count=1, outputs=[output])
 
 
+def test_beside_nbval_a_cell_is_tested_once(tmp_path):
+    store(tmp_path / "a.ipynb", [printing("1", "1\n")])
+    listed = pytest_here(tmp_path, "--collect-only", "--nbval").stdout
+    assert listed.count("a.ipynb::Cell 0") == 1
+
+
 def test_what_cannot_be_written_is_one_line_and_the_old_file_stays(tmp_path, monkeypatch):
     path = tmp_path / "an ä.ipynb"
     store(path, [printing("2", "1\n")])

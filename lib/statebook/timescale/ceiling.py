@@ -279,8 +279,7 @@ def _least_times(changes: Changes, cap: np.ndarray, x: np.ndarray, h: np.ndarray
     ahead, back = first + high, last - (low[-1] - low)
     back[-1, turn] = np.inf
     alone = _time_of_rows(ahead, push, 1), _time_of_rows(back, push, -1)
-    beyond = turn & ~np.isfinite(ahead[:-1]) & ~np.isfinite(back[1:])
-    longest = np.where(beyond, alone[0] + alone[1], np.maximum(*alone)).max(axis=2)
+    longest = np.where(turn, alone[0] + alone[1], np.maximum(*alone)).max(axis=2)
     square = np.maximum(np.concatenate([ahead, back, cap[:, :, None]], axis=2), 0.0)
     pace = np.concatenate([pace, pace, np.ones_like(cap)[:, :, None]], axis=2)
     times = np.zeros(len(h))

@@ -229,9 +229,7 @@ def _regridded(stretch: Stretch, motion: Motion, count: int) -> Motion:
     if len(inner):
         nearest = np.abs(np.interp(inner, r, clock)[:, None] - even[1:-1]).min(axis=0)
         even = np.delete(even, 1 + np.flatnonzero(nearest < 0.4 * even[1]))
-    nodes = np.interp(even, clock, r)
-    nodes[0], nodes[-1] = ends
-    nodes = np.unique(np.concatenate([nodes, inner]))
+    nodes = np.unique(np.concatenate([np.interp(even, clock, r), inner]))
     x, u = motion.at(nodes), np.interp(nodes, motion.r, motion.u)
     x = np.maximum(x, 1e-12 * x.max())
     leaves, arrives = (int(order > 0) for order in stretch.order)
