@@ -16,7 +16,7 @@ from statebook.checking import Claim, recorded, verdict_on
 
 
 def run(notebook: dict, folder: Path) -> list[Claim]:
-    """Run the code cells of a notebook in this process and return the claims of its checks."""
+    """Run code cells in this process up to the last erratum; return the claims of the checks."""
     import matplotlib
 
     matplotlib.use("agg")
@@ -24,6 +24,7 @@ def run(notebook: dict, folder: Path) -> list[Claim]:
 
     shell = InteractiveShell.instance(colors="NoColor")
     sys.path.insert(0, str(folder))
+    wanted = {name for _, names in _errata(notebook) for name in names}
     for number, cell in enumerate(notebook["cells"]):
         if cell["cell_type"] != "code" or cell["source"].strip() == "sb.summary()":
             continue
@@ -32,7 +33,13 @@ def run(notebook: dict, folder: Path) -> list[Claim]:
         expected = "raises-exception" in cell["metadata"].get("tags", [])
         if not result.success and not expected:
             raise RuntimeError(f"cell {number} failed: {printed.getvalue()[-2000:]}")
+        if wanted <= {claim.name for claim in recorded()}:
+            break
     return list(recorded())
+
+
+def _errata(notebook: dict) -> list[tuple[str, list[str]]]:
+    return [(row, names) for row, names in checks_of(notebook).items() if row.startswith("E")]
 
 
 def swaps(notebook: dict, claims: list[Claim], ledger: dict[str, Row]) -> list[str]:
@@ -43,8 +50,8 @@ def swaps(notebook: dict, claims: list[Claim], ledger: dict[str, Row]) -> list[s
     """
     problems = []
     by_name = {claim.name: claim for claim in claims}
-    for row, names in checks_of(notebook).items():
-        if not row.startswith("E") or ledger[row].kind == "editorial":
+    for row, names in _errata(notebook):
+        if ledger[row].kind == "editorial":
             continue
         pair = [by_name[name] for name in names if name in by_name]
         printed = [claim for claim in pair if claim.relation != "=="]
