@@ -232,7 +232,7 @@ def _result(problem: Problem, z: np.ndarray, labels: Sequence[str]) -> Equilibri
     z = cleaned(problem, z)
     F, J = np.abs(problem(z)), problem.jacobian(z)
     terms = problem.terms(z, J)
-    residual = float((F / np.where(terms > 0, terms, 1.0)).max(initial=0.0))
+    residual = float(np.max(F / np.where(terms > 0, terms, 1.0), initial=0.0))
     # A singular value that changes by itself within the noise of the zero is none.
     infinite = np.full(z.size, np.inf)
     blur = np.abs(shortest(problem, J, noise_at(problem, z) / 8, z, -infinite, infinite))

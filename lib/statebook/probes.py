@@ -90,12 +90,12 @@ def number_of_inputs(call: Callable[[np.ndarray], Any], n: int) -> int | None:
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
         results = [returned(drive[:m]) for m in range(_INPUTS + 1)]
-    works = [m for m, value in enumerate(results) if value is not None]
+    works = [(m, value) for m, value in enumerate(results) if value is not None]
     if not works:
         return None
-    first = results[works[0]]
-    alike = all(np.array_equal(results[m], first, equal_nan=True) for m in works)  # type: ignore[arg-type]
-    return works[0] if alike else None
+    fewest, first = works[0]
+    alike = all(np.array_equal(value, first, equal_nan=True) for _, value in works)
+    return fewest if alike else None
 
 
 def require_pure(f: Callable[..., Any], arguments: tuple[np.ndarray, ...]) -> None:

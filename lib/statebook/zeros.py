@@ -119,7 +119,7 @@ def newton(
             break
         step = shortest(problem, J, -F, z, low, high)
         # A flat f sends the step anywhere: three times as far from 0 must do.
-        step /= max(1.0, float((np.abs(step) / np.maximum(np.abs(z), 1.0)).max()) / 2)
+        step /= max(1.0, float(np.max(np.abs(step) / np.maximum(np.abs(z), 1.0))) / 2)
         length = float(np.linalg.norm(step / problem.s))
         rows = problem.terms(z, J)
         weight = 1 / np.where(rows > 0, rows, 1.0)

@@ -130,7 +130,7 @@ def _standing(rng: np.random.Generator) -> dict[str, float]:
 
 def _rise(p: Parameters) -> float:
     """The rate at which the standing pendulum begins to fall [1/s]."""
-    return float(np.roots([p.m * p.L**2, p.b, -p.m * G * p.L]).max())
+    return float(np.max(np.roots([p.m * p.L**2, p.b, -p.m * G * p.L])))
 
 
 def _judge_lie(answer: Any, p: Parameters) -> str:

@@ -41,7 +41,7 @@ def _pendulum(rng: np.random.Generator) -> dict[str, float]:
 
 def _growth(p: Parameters, slope: float, friction: float = 1.0) -> float:
     """The larger root of J s^2 + b s - slope = 0."""
-    return float(np.roots([p.m * p.L**2, friction * p.b, -slope]).real.max())
+    return float(np.max(np.roots([p.m * p.L**2, friction * p.b, -slope]).real))
 
 
 def _weight(p: Parameters) -> float:
@@ -117,9 +117,9 @@ def _judge_lag(answer: Any, p: Parameters) -> str:
     if kp <= _weight(p):
         return f"{_WEAK} = {kp:.4g} N m/rad"
     s = np.roots(_cubic(p, kp, kd))
-    if s.real.max() >= 0:
+    if np.max(s.real) >= 0:
         return _LAGS
-    zeta, tau = float((-s.real / np.abs(s)).min()), float(1 / -s.real.max())
+    zeta, tau = float(np.min(-s.real / np.abs(s))), float(1 / -np.max(s.real))
     if beyond(0.6, zeta):
         return f"{_RINGS} {zeta:.2g}, and 0.6 is asked for"
     if beyond(tau, p.tau):

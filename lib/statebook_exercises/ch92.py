@@ -168,7 +168,7 @@ def _ends(place: np.ndarray, p: Parameters, near: float, turned: float) -> str:
 
 def _nears(placed: np.ndarray, p: Parameters, clear: float) -> str:
     least = clearance(placed, p)
-    x, y, _ = placed[:, least.argmin()]
+    x, y, _ = placed[:, int(np.argmin(least))]
     if least.min() >= clear:
         return ""
     return (

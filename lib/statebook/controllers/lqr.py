@@ -23,7 +23,7 @@ def weight(name: str, value: Any, size: int, *, definite: bool = False) -> np.nd
     matrix = feedback.matrix_of(name, 1.0 if value is None else value, (size, size))
     if definite:
         scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-        if np.linalg.eigvalsh(matrix / scale[:, None] / scale).min() <= 1e-14:
+        if np.min(np.linalg.eigvalsh(matrix / scale[:, None] / scale)) <= 1e-14:
             raise ValueError(f"{name} must be positive definite, got {matrix.tolist()}")
     return _validate.semidefinite(name, matrix)
 

@@ -197,7 +197,7 @@ def improved(
             np.concatenate(bounds),
             equalities,
         )
-        culprit = named[np.abs(dual[fixed:]).argmax()]
+        culprit = named[int(np.argmax(np.abs(dual[fixed:])))]
         if np.isnan(solution).any():
             raise infeasible(*culprit)
         x, u, part = at_x @ solution, at_u @ solution, 1.0

@@ -148,7 +148,7 @@ def _refined(
                     raise
                 break
             first = False
-            duration = times_of(stretch, motion).sum()
+            duration = float(times_of(stretch, motion).sum())
             change, last = abs(last - duration), duration
             if motion.excess <= _EXCESS and change <= _SETTLED * tolerance * duration:
                 break

@@ -218,7 +218,7 @@ def _vectorized(
         values = values.reshape(rows, motion[0].shape[1])
         bad = ~np.isfinite(values).all(axis=0)
         if bad.any():
-            at = motion[0][:, bad.argmax()]
+            at = motion[0][:, int(np.argmax(bad))]
             raise ValueError(
                 f"inverse_dynamics must return finite torques; it does not at q = {at}"
             )

@@ -191,7 +191,7 @@ def _product(
         factors = np.where(rows == columns, factors, np.abs(factors) ** 2)
     values = np.prod(factors, axis=1).real
     error = digits * (1 + np.abs(pairs)) / scale / np.maximum(np.abs(factors), EPS)
-    return values, float((np.abs(values) * error.sum(axis=1)).max())
+    return values, float(np.max(np.abs(values) * error.sum(axis=1)))
 
 
 def _candidates(coefficients: np.ndarray) -> list[tuple[float, float]]:

@@ -150,7 +150,7 @@ def _collection(artist: Any, view: View) -> dict[str, Any]:
         size = float(np.hypot(u, v).max()) if np.size(u) else 0.0
         data = {**view.pair(places), "u": summarize(u, beside=size), "v": summarize(v, beside=size)}
         if isinstance(artist, quiver.Quiver):
-            item["units"] = f"{artist.angles}, {artist.scale_units}"
+            item["units"] = ", ".join(map(str, (artist.angles, artist.scale_units)))
             if artist.scale is not None and artist.scale_units is not None:
                 data["scale"] = summarize([artist.scale])
     elif isinstance(artist, contour.ContourSet):
