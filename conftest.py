@@ -1,6 +1,7 @@
 """Where toppra is not installed, skip the examples that time a path (run.py names the chapters).
 
-No example of a property fails for being slow: on a busy machine each may be.
+Properties are tested on the same examples each time; `--hypothesis-profile=search` draws others. No
+example fails for being slow: on a busy machine each may be.
 """
 
 import importlib.util
@@ -8,8 +9,10 @@ import importlib.util
 import pytest
 from hypothesis import HealthCheck, settings
 
-settings.register_profile("busy", deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.load_profile("busy")
+patient = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("search", patient)
+settings.register_profile("same", patient, derandomize=True)
+settings.load_profile("same")
 
 collect_ignore_glob = ["lib/statebook/analysis/*.ipynb"]  # a template has no outputs
 

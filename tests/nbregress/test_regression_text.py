@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from nbregress.comparison import Comparison
@@ -179,7 +179,9 @@ tokens = st.sampled_from(
 
 @given(significant, st.floats(-1e-7, 1e-7), st.sampled_from(PLACES), st.sampled_from(DIGITS))
 def test_noise_in_the_last_digits_passes_either_way(value, noise, place, digits):
-    stored, new = (place.format(digits.format(x)) for x in (value, value * (1 + noise)))
+    shown = [digits.format(x) for x in (value, value * (1 + noise))]
+    assume(not any(text.lstrip("-").isdigit() for text in shown))  # integers are exact
+    stored, new = map(place.format, shown)
     if digits == "{:.10f}" or "e" in stored + new or len(stored) == len(new):
         assert compare(stored, new) is None and compare(new, stored) is None
 
