@@ -368,3 +368,17 @@ def test_how_much_a_picture_may_change(share, levels, seen):
     changed[: round(share * len(changed))] += levels
     message = pictures_difference(png(picture), png(changed.reshape(picture.shape)))
     assert bool(message) == seen
+
+
+@pytest.mark.parametrize("turn", [1e-17, -1e-16, 1e-3])
+def test_a_box_turned_by_rounding_is_a_box(turn):
+    def boxes(angle):
+        figure = Figure()
+        ax = figure.subplots()
+        for width in (1.0, 2.0):
+            across = np.array([[-1, 2, 2, -1], [-0.3, -0.3, 0.3, 0.3]]) * width + 0.1 * angle
+            c, s = np.cos(angle), np.sin(angle)
+            ax.fill(*(np.array([[c, -s], [s, c]]) @ across + 3 * angle))
+        return digest(figure)
+
+    assert bool(compare(boxes(0.0), boxes(turn))) == (turn == 1e-3)

@@ -92,9 +92,7 @@ def _parameters(patch: Any) -> tuple[str, Any]:
     from matplotlib.patches import Ellipse, FancyArrowPatch, Rectangle, Wedge
 
     if isinstance(patch, Rectangle):
-        size = (patch.get_width(), patch.get_height(), patch.angle)
-        x, y = patch.get_xy()
-        return "rectangles", [x, y, *size]
+        return "rectangles", [*patch.get_xy(), patch.get_width(), patch.get_height(), patch.angle]
     if isinstance(patch, Wedge):
         width = np.nan if patch.width is None else patch.width
         x, y = patch.center
@@ -107,7 +105,9 @@ def _parameters(patch: Any) -> tuple[str, Any]:
         if ends is not None:
             return "arrows", np.ravel(ends)
         return "arrow along a path", getattr(patch, "_path_original").vertices  # noqa: B009
-    corners = np.unique(getattr(patch, "xy", np.empty((0, 2))), axis=0)
+    given = np.asarray(getattr(patch, "xy", np.empty((0, 2))), dtype=float)
+    digits = 11 - int(np.log10(np.abs(given).max(initial=1e-99)))  # the rest is rounding
+    corners = np.unique(np.round(given, digits), axis=0)
     low, high = (np.unique(corners[:, k]).tolist() for k in (0, 1))
     if len(corners) == 4 and len(low) == len(high) == 2:  # axhspan's, before Matplotlib 3.9
         return "rectangles", [low[0], high[0], low[1] - low[0], high[1] - high[0], 0.0]
