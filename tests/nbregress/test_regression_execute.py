@@ -1,5 +1,6 @@
 """The executor: reproducible outputs, one clear line for each failure."""
 
+import asyncio
 import base64
 import itertools
 import os
@@ -14,7 +15,7 @@ from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook, new_outp
 from processes import in_process
 
 from nbregress.__main__ import main
-from nbregress.session import NotebookError
+from nbregress.session import NotebookError, Session
 from nbregress.settings import Settings, SettingsError, load_settings
 from nbregress.store import keep_agreeing, normalize, write
 
@@ -299,3 +300,31 @@ def test_diff_compares_what_is_stored(tmp_path):
     assert done.returncode == 1 and "Cell 0: stdout, line 1: 1.1, stored 1.0" in done.stdout
     page = (tmp_path / "r.html").read_text("utf-8")
     assert "<pre>1.0\n</pre>" in page and "<pre>1.1\n</pre>" in page
+
+
+@pytest.mark.parametrize("deaths", [1, 2])
+def test_a_kernel_that_dies_at_once_is_started_once_more(tmp_path, monkeypatch, deaths):
+    connect, tried = Session.async_start_new_kernel_client, []
+
+    async def dies(self):
+        tried.append(1)
+        if len(tried) <= deaths:
+            raise RuntimeError("Kernel died before replying to kernel_info")
+        return await connect(self)
+
+    async def run():
+        session = Session(new_notebook(cells=[new_code_cell("print(7)")]), tmp_path, Settings())
+        await session.start()
+        try:
+            await session.run(0)
+        finally:
+            await session.close()
+        return session.nb.cells[0].outputs[0]["text"]
+
+    monkeypatch.setattr(Session, "async_start_new_kernel_client", dies)
+    if deaths == 1:
+        assert asyncio.run(run()) == "7\n"
+    else:
+        with pytest.raises(NotebookError, match="does not start: RuntimeError: Kernel died"):
+            asyncio.run(run())
+    assert len(tried) == 2

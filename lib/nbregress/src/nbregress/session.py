@@ -145,13 +145,18 @@ class Session(NotebookClient):
         self._reply: dict[str, Any] = {}
         self.log.disabled = True
 
-    async def start(self, prepare: Sequence[str] = ()) -> None:
+    async def start(self, prepare: Sequence[str] = (), again: bool = True) -> None:
         """Start the kernel and get it ready for the first cell.
+
+        One that dies at once is started once more: between the choice of its ports and its use of
+        them another program may take one.
 
         Parameters
         ----------
         prepare : sequence of str
             Further code to execute first, in silence.
+        again : bool
+            Whether to start it once more.
 
         Raises
         ------
@@ -177,13 +182,14 @@ class Session(NotebookClient):
             environment = {**kept, **_FIXED, **self.settings.env}
             await self.async_start_new_kernel(env=environment, stderr=subprocess.DEVNULL)
             await asyncio.wait_for(self.async_start_new_kernel_client(), 60)
-            if language == "python":
-                package = Path(__file__).parent
-                await self._silently(_LOAD.format(str(package / "__init__.py"), str(package)))
-            for code in prepare:
+            package = Path(__file__).parent
+            load = _LOAD.format(str(package / "__init__.py"), str(package))
+            for code in [load, *prepare] if language == "python" else prepare:
                 await self._silently(code)
         except Exception as error:
             await self.close()
+            if again and isinstance(error, RuntimeError):
+                return await self.start(prepare, again=False)
             raise NotebookError(
                 f"has no kernel: {wanted} does not start: {type(error).__name__}: {error}"
             ) from error
