@@ -5,6 +5,7 @@ from __future__ import annotations
 import doctest
 import functools
 import json
+import os
 import re
 import time
 from contextlib import suppress
@@ -461,6 +462,21 @@ def test_a_loop_without_end_is_ended(monkeypatch):
     start = time.monotonic()
     assert "loop without an end" in sb.grade("07.3", forever, "Ada").message
     assert time.monotonic() - start < 20
+
+
+def test_numbers_are_judged_by_one_process_and_by_another_where_it_is_gone(monkeypatch):
+    gains, idle = next(e for e in EXERCISES if e.id == "08.5").solution, sandbox._IDLE
+    p = next(e for e in EXERCISES if e.id == "08.5").parameters("Ada")
+    assert sb.grade("08.5", gains(p), "Ada")
+    first = idle[os.getpid()]._child
+    assert not sb.grade("08.5", -gains(p), "Ada") and idle[os.getpid()]._child is first
+    assert sb.grade("07.3", right, "Ada") and idle[os.getpid()]._child is first  # not for functions
+    first.kill()
+    first.wait()
+    assert sb.grade("08.5", gains(p), "Ada") and idle[os.getpid()]._child is not first
+    monkeypatch.setattr(sandbox, "TIMEOUT", 0.0)
+    assert "was not done after" in sb.grade("08.5", gains(p), "Ada").message
+    assert os.getpid() not in idle
 
 
 def test_where_there_are_no_processes_a_function_is_called_here(monkeypatch):

@@ -35,7 +35,7 @@ CLOCKS = {"time.time", "time.time_ns", "datetime.now", "datetime.datetime.now", 
 SHOWN = {"patterns.py": 1}  # whether a date that a notebook printed was that of its day
 
 # A child process reads from its parent's pipe, never from a file.
-PIPED = {"sandbox.py": ["cloudpickle.loads", "pickle.load", "pickle.load"]}
+PIPED = {"sandbox.py": ["cloudpickle.loads", "pickle.load"]}
 
 
 def guarded(tree: ast.AST) -> set[ast.AST]:

@@ -43,12 +43,7 @@ class DivergenceError(_Kept, RuntimeError):
     """
 
     def __init__(
-        self,
-        message: str,
-        *,
-        time: float,
-        state: np.ndarray,
-        trajectory: Trajectory | None = None,
+        self, message: str, *, time: float, state: np.ndarray, trajectory: Trajectory | None = None
     ) -> None:
         super().__init__(message)
         self.time = time

@@ -67,13 +67,7 @@ def integrate_euler(
 
 
 def integrate(
-    f: Function,
-    x0: Any,
-    N: int,
-    dt: float,
-    t0: float = 0,
-    *,
-    method: str | ButcherTableau = "rk4",
+    f: Function, x0: Any, N: int, dt: float, t0: float = 0, *, method: str | ButcherTableau = "rk4"
 ) -> tuple[np.ndarray, np.ndarray]:
     """Integrate x' = f(x, t) by N equal steps of a method.
 

@@ -16,12 +16,7 @@ _EPS = float(np.finfo(float).eps)
 
 
 def point(
-    system: System,
-    x0: Any,
-    u0: Any,
-    *,
-    batch: bool = True,
-    names: tuple[str, str] = ("x0", "u0"),
+    system: System, x0: Any, u0: Any, *, batch: bool = True, names: tuple[str, str] = ("x0", "u0")
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return x0 and u0 as checked real arrays; u0 None is zeros."""
     x0 = _validate.real_array(names[0], x0)

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, ProcessPoolExecutor, wait
 from contextlib import ExitStack
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -227,7 +227,7 @@ def _entropy(function: Any, grid: Mapping[str, Any], seed: int | None) -> tuple[
     if seed is None:
         if rng and rng.default is rng.empty:
             raise TypeError("seed is required for a function with a parameter rng: give an integer")
-        return int.from_bytes(np.random.default_rng().bytes(16), "little"), False
+        return cast(int, np.random.SeedSequence().entropy), False
     return _validate.integer("seed", seed), True
 
 

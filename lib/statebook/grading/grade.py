@@ -119,7 +119,7 @@ def _trouble(task: Exercise, answer: Any, p: Parameters, student: str | int) -> 
         value = as_array(answer)
         if trouble := _not_like(value, np.asarray(wanted, dtype=float), answer):
             return trouble
-        with Apart(partial(_judged, task.id, student, value)) as verdict:
+        with Apart(partial(_judged, task.id, student, value), ours=True) as verdict:
             return str(verdict.reply())
     return compare(answer, wanted, task, lambda slip: slip(p))
 

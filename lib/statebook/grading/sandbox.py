@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import functools
 import io
 import json
@@ -26,6 +27,8 @@ MOST = 10_000  # entries of an answer
 # cloudpickle takes a cached function for one of a module, where the child cannot find it.
 _CACHED = type(functools.lru_cache(int))
 
+_IDLE: dict[int, Apart] = {}  # by process: whose child judges the next numbers too
+
 
 def _uncached(function: Any) -> tuple[Any, tuple[Any]]:
     return functools.lru_cache, (function.__wrapped__,)
@@ -45,6 +48,8 @@ class Apart:
     Parameters
     ----------
     function : callable
+    ours : bool
+        Nothing in it is a student's: its process may judge the next answer too.
 
     Attributes
     ----------
@@ -57,8 +62,9 @@ class Apart:
         cloudpickle, which takes a notebook's functions along, is not installed.
     """
 
-    def __init__(self, function: Callable[..., Any]) -> None:
+    def __init__(self, function: Callable[..., Any], ours: bool = False) -> None:
         self.trouble = ""
+        self._ours = ours
         self._late = False
         self._function = function
         self._child: Any = None
@@ -83,26 +89,31 @@ class Apart:
     def __enter__(self) -> Apart:
         if sys.platform == "emscripten":
             return self
-        self._child = subprocess.Popen(
-            [sys.executable, "-c", "from statebook.grading.sandbox import serve; serve()"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            # A function from a file beside the notebook is found there too.
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-            start_new_session=True,  # what the function starts ends with it
-        )
+        idle = _IDLE.pop(os.getpid(), None) if self._ours else None
+        self._child = (idle and idle.running()) or _child()
         self._timer = threading.Timer(TIMEOUT, self._end, [True])
         self._timer.daemon = True
         self._timer.start()
         with suppress(OSError):
-            self._send(pickle.dumps(self._packed))
+            self._send(self._packed)
         return self
 
     def __exit__(self, *_: object) -> None:
         if self._child is None:
             return
         self._timer.cancel()
+        if not self._ours or self.trouble or _IDLE.setdefault(os.getpid(), self) is not self:
+            self.close()
+
+    def running(self) -> Any:
+        """Return the process if it is running."""
+        if self._child.poll() is None:
+            return self._child
+        self.close()
+        return None
+
+    def close(self) -> None:
+        """End the process."""
         self._end(False)
         with suppress(OSError), self._child:
             pass  # closes the pipes
@@ -128,7 +139,7 @@ class Apart:
             if self._child is None:
                 value, trouble = _called(self._function, arguments)
             else:
-                self._send(pickle.dumps(arguments))
+                self._send(arguments)
                 reply = json.loads(self._child.stdout.readline(100 * MOST))
                 value, trouble = reply["value"], reply["trouble"]
         except (OSError, ValueError, KeyError, TypeError):  # no reply, or one that it made itself
@@ -145,8 +156,9 @@ class Apart:
         self.trouble = trouble
         raise AnswerError(trouble)
 
-    def _send(self, message: bytes) -> None:
-        self._child.stdin.write(message)
+    def _send(self, message: bytes | tuple[Any, ...]) -> None:
+        """Send a function, packed, or arguments."""
+        self._child.stdin.write(pickle.dumps(message))
         self._child.stdin.flush()
 
     def _end(self, late: bool) -> None:
@@ -156,6 +168,24 @@ class Apart:
                 self._child.kill()
             else:
                 os.killpg(self._child.pid, signal.SIGKILL)
+
+
+def _child() -> subprocess.Popen[bytes]:
+    return subprocess.Popen(
+        [sys.executable, "-c", "from statebook.grading.sandbox import serve; serve()"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        # A function from a file beside the notebook is found there too.
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        start_new_session=True,  # what the function starts ends with it
+    )
+
+
+@atexit.register
+def _end_idle() -> None:
+    if idle := _IDLE.pop(os.getpid(), None):
+        idle.close()
 
 
 def told(error: BaseException) -> str:
@@ -201,7 +231,7 @@ def kind(value: Any) -> str:
 
 
 def serve() -> None:
-    """Read a function and then its arguments from stdin; write each value to stdout."""
+    """Read functions and arguments of the last one from stdin; write each value to stdout."""
     import cloudpickle
 
     requests, replies = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "w", encoding="ascii")
@@ -209,13 +239,15 @@ def serve() -> None:
     for stream in (0, 1, 2):
         os.dup2(nothing, stream)
     failed, function = "", None
-    try:
-        function = cloudpickle.loads(pickle.load(requests))
-    except BaseException as error:
-        failed = f"your function cannot be taken to a process of its own ({told(error)})"
     while True:
-        arguments = pickle.load(requests)
-        value, trouble = ("", failed) if failed else _called(function, arguments)
+        message = pickle.load(requests)
+        if isinstance(message, bytes):
+            try:
+                failed, function = "", cloudpickle.loads(message)
+            except BaseException as error:
+                failed = f"your function cannot be taken to a process of its own ({told(error)})"
+            continue
+        value, trouble = ("", failed) if failed else _called(function, message)
         replies.write(json.dumps({"value": value, "trouble": trouble}) + "\n")
         replies.flush()
 

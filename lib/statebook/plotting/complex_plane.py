@@ -15,11 +15,7 @@ if TYPE_CHECKING:
 
 
 def eigenvalues(
-    values: Any,
-    *,
-    discrete: bool = False,
-    label: str | None = None,
-    ax: Axes | None = None,
+    values: Any, *, discrete: bool = False, label: str | None = None, ax: Axes | None = None
 ) -> Axes:
     """Mark eigenvalues in the complex plane, with the stability boundary.
 

@@ -188,7 +188,7 @@ def settle(
             profile, least = solve(current, max(tolerance, _LOOSE) if first else tolerance)
             x, (low, high) = profile.x(_LOOK), _band(speed(profile.grid))
             speed = partial(_speed_of, profile)
-            near = (x >= low) & (x <= high)
+            near = x == np.clip(x, low, high)
             if near.all() or (first and near.mean() > 0.9):
                 break
     return current, profile, least

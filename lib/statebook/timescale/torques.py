@@ -184,7 +184,7 @@ def _rows(function: Callable[..., Any], q: np.ndarray) -> tuple[int, float]:
     values = [
         np.array(function(*(a.copy() for a in args)), ndmin=int(len(q) == 1)) for _ in range(_CALLS)
     ]
-    value = values[0]
+    value, *_ = values
     if value.ndim != 1 or value.dtype.kind not in "iuf":
         raise ValueError(
             "inverse_dynamics must return a real vector (rows,) for q, qd, qdd of shape (dof,); "

@@ -58,10 +58,7 @@ def _cells(mode: Mode | None, scale: float) -> tuple[str, ...]:
 
 
 def compare(
-    first: StabilityReport,
-    second: StabilityReport,
-    *,
-    names: tuple[str, str] = ("first", "second"),
+    first: StabilityReport, second: StabilityReport, *, names: tuple[str, str] = ("first", "second")
 ) -> Comparison:
     """Set two stability reports side by side, mode beside mode.
 

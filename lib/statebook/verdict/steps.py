@@ -191,9 +191,7 @@ def _of_partitioned(A: np.ndarray, rate: float) -> float:
         low, high = grid[first - 1 : first + 1]
         # On the circle growth is rounding of either sign: aim at the threshold instead of at 0.
         aim = 0.0 if growth(low) < -_GROWTH else _GROWTH
-        limit = float(
-            scipy.optimize.brentq(lambda h: growth(h) - aim, low, high, xtol=1e-15, rtol=1e-14)
-        )
+        limit = float(scipy.optimize.brentq(lambda h: growth(h) - aim, low, high, xtol=1e-15))
         snapped = crossings[np.abs(crossings - limit) <= _SAME_ROOT * limit]
         if len(snapped):
             limit = float(snapped[0])
