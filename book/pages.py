@@ -6,6 +6,7 @@ import html
 import inspect
 import json
 import re
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -95,6 +96,7 @@ def write_reference(folder: Path) -> str:
     return "\n".join(rows)
 
 
+@cache
 def users() -> dict[str, list[str]]:
     """Return, of each public name, the chapters whose code uses it."""
     found: dict[str, list[str]] = {}

@@ -166,6 +166,12 @@ def test_pole_of_the_map_is_infinite():
         (lambda s: sb.discretize(s, 0.1, "tustin", prewarp=40.0), ValueError, "below pi/dt"),
         (lambda s: sb.discretize(sb.discretize(s, 0.1), 0.1), ValueError, "continuous time"),
         (lambda s: sb.discretize(sb.Pendulum(), 0.1), ValueError, "must be linear"),
+        (lambda s: sb.discretize(control.tf([1], [1, 1]), 0.1), TypeError, "with control.ss()"),
+        (
+            lambda s: sb.discretize(control.frd([1.0, 0.5], [1.0, 2.0]), 0.1),
+            TypeError,
+            "must be fitted",
+        ),
         (lambda s: sb.discretize([[1.0]], 0.1), TypeError, "system"),
         (lambda s: sb.discretize_many(np.ones((2, 3)), np.ones((2, 1)), 0.1), ValueError, "A must"),
         (lambda s: sb.discretize_many(np.eye(2), np.ones(2), 0.1), ValueError, "B must have shape"),

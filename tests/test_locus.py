@@ -221,6 +221,7 @@ def test_a_fold_is_no_other_equilibrium():
         ((Spring(), {"k": [1.0, 2.0], "c": [0.0, 1.0]}, [0, 0], [0]), TypeError, "one parameter"),
         ((Spring(), [1.0, 2.0], [0, 0], [0]), TypeError, "one parameter"),
         ((3.0, {"k": [1.0, 2.0]}), TypeError, "model must be a dataclass"),
+        ((control.tf([1], [1, 1]), {"k": [1.0, 2.0]}), TypeError, "got TransferFunction"),
         ((lambda p: np.ones((2, 3)), {"p": [1.0, 2.0]}), ValueError, "square"),
         ((lambda p: 1j * np.eye(2), {"p": [1.0, 2.0]}), TypeError, "real"),
         ((sb.Pendulum(), {"m": [1.0, -1.0]}, [-np.pi / 2, 0]), ValueError, "greater than 0"),

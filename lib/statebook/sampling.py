@@ -230,7 +230,7 @@ def state_space(sys: Any) -> control.StateSpace:
     """Return a system that declares itself linear in python-control's form."""
     import control
 
-    plain = callable(sys) and not hasattr(sys, "dynamics")
+    plain = callable(sys) and not (hasattr(sys, "dynamics") or hasattr(sys, "ninputs"))
     if plain or not (system := as_system(sys)).linear:
         raise ValueError("sys must be linear; call linearize(sys, x0, u0) first")
     if isinstance(sys, control.StateSpace):

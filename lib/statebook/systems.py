@@ -251,8 +251,8 @@ def _from_control(sys: Any) -> System:
         rate = partial(rates.of_control, sys)
     else:
         raise TypeError(
-            f"system must be in state space, got {type(sys).__name__};"
-            " convert it with control.ss() first"
+            f"system must be in state space, got {type(sys).__name__}: convert a transfer"
+            " function with control.ss() first; to frequency data a model must be fitted"
         )
     labels = tuple(sys.state_labels), tuple(sys.input_labels)
     return System(rate, *labels, sys.dt, linear, sys.name, sys, batched=linear, timed=not linear)

@@ -31,7 +31,7 @@ def parameters_of(model: Any) -> tuple[str, ...] | None:
     if hasattr(model, "nstates") and hasattr(model, "params"):
         parts = [model, *getattr(model, "syslist", ())]
         return tuple(dict.fromkeys(name for part in parts for name in part.params))
-    if not callable(model):
+    if not callable(model) or hasattr(model, "ninputs"):  # a transfer function can be called
         raise TypeError(
             "model must be a dataclass, a function with keywords, a factory that returns a system,"
             f" or a control.NonlinearIOSystem with params, got {type(model).__name__}"
