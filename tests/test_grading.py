@@ -464,6 +464,10 @@ def test_a_loop_without_end_is_ended(monkeypatch):
     assert time.monotonic() - start < 20
 
 
+def interrupt(text):
+    raise KeyboardInterrupt
+
+
 def test_numbers_are_judged_by_one_process_and_by_another_where_it_is_gone(monkeypatch):
     gains, idle = next(e for e in EXERCISES if e.id == "08.5").solution, sandbox._IDLE
     p = next(e for e in EXERCISES if e.id == "08.5").parameters("Ada")
@@ -474,6 +478,10 @@ def test_numbers_are_judged_by_one_process_and_by_another_where_it_is_gone(monke
     first.kill()
     first.wait()
     assert sb.grade("08.5", gains(p), "Ada") and idle[os.getpid()]._child is not first
+    with monkeypatch.context() as interrupted, pytest.raises(KeyboardInterrupt):
+        interrupted.setattr(sandbox.json, "loads", interrupt)
+        sb.grade("08.5", -gains(p), "Ada")
+    assert os.getpid() not in idle and sb.grade("08.5", gains(p), "Ada")  # nobody else's verdict
     monkeypatch.setattr(sandbox, "TIMEOUT", 0.0)
     assert "was not done after" in sb.grade("08.5", gains(p), "Ada").message
     assert os.getpid() not in idle

@@ -64,8 +64,7 @@ class Apart:
 
     def __init__(self, function: Callable[..., Any], ours: bool = False) -> None:
         self.trouble = ""
-        self._ours = ours
-        self._late = False
+        self._ours, self._late = ours, False
         self._function = function
         self._child: Any = None
         try:
@@ -98,11 +97,12 @@ class Apart:
             self._send(self._packed)
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, raised: object, *_: object) -> None:
         if self._child is None:
             return
         self._timer.cancel()
-        if not self._ours or self.trouble or _IDLE.setdefault(os.getpid(), self) is not self:
+        done = self._ours and not raised and not self.trouble  # else a reply may be on its way
+        if not done or _IDLE.setdefault(os.getpid(), self) is not self:
             self.close()
 
     def running(self) -> Any:
